@@ -63,15 +63,15 @@ def run(
     """
     waiting, numbers, at_work = deque(range(len(items))), dict[Any, int](), dict[Any, Any]()
     deaths, started = [0] * len(items), [0.0] * len(items)
-    timed = functools.partial(_timed, function, timeout)
+    attempt = functools.partial(_attempt, function, timeout)
     while waiting or at_work:
         tick()
         taken = set(at_work.values())
         idle = [worker for worker in pool.workers() if worker not in taken] if waiting else []
-        for worker, number in zip(idle, list(waiting), strict=False):
-            waiting.popleft()
+        for worker in idle[: len(waiting)]:
+            number = waiting.popleft()
             started[number] = time.monotonic()
-            task = pool.send(worker, timed, items[number])
+            task = pool.send(worker, attempt, items[number])
             numbers[task], at_work[task] = number, worker
         for task, outcome in pool.done(at_work, _PATIENCE):
             number = numbers.pop(task)
@@ -88,23 +88,20 @@ def run(
             yield number, outcome
 
 
-def _timed(function: Callable[[Any], Any], timeout: float, item: Any) -> Any:
-    """The function's result; the system ends the process where it takes longer [s], wherever it hangs."""
+def _attempt(function: Callable[[Any], Any], timeout: float, item: Any) -> Any:
+    """The function's result, or a `Failure` for what it raised: not every exception can be pickled.
+
+    The system ends the process where it takes longer [s] (0 = any), wherever it hangs.
+    """
     signal.setitimer(signal.ITIMER_REAL, timeout)
-    try:
-        return function(item)
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-
-
-def guarded(function: Callable[[Any], Any], item: Any) -> Any:
-    """The function's result, or a `Failure` for what it raised: not every exception can be pickled."""
     try:
         return function(item)
     except MemoryError:
         return Failure("needs more memory than a worker may have")
     except Exception as error:
         return Failure(f"{type(error).__name__}: {error}")
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
 class ProcessPool:
@@ -150,10 +147,10 @@ class ProcessPool:
         """Give a lane a task."""
         with _one_thread():
             try:
-                return self._lanes[worker].submit(guarded, function, item)
+                return self._lanes[worker].submit(function, item)
             except BrokenProcessPool:  # died while it had nothing to do
                 self._lanes[worker] = self._lane()
-                return self._lanes[worker].submit(guarded, function, item)
+                return self._lanes[worker].submit(function, item)
 
     def done(self, at_work: Mapping[Future[Any], int], patience: float) -> list[tuple[Future[Any], Any]]:
         """Tasks that have ended, with their outcomes; a lane whose process died gets another."""

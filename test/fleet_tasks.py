@@ -11,9 +11,9 @@ from bag_samples import rows, write_with_mcap
 from pool_tasks import note
 
 from hd_diag.fleet.rows import PAGE, Row, Task
+from hd_diag.fleet.run import Survey, survey
 from hd_diag.fleet.series import series_of
 from hd_diag.fleet.standing import Health, health, limits_of
-from hd_diag.fleet.survey import Survey, survey
 from hd_diag.fleet.trend import trends
 
 JOINT_STATE = "sensor_msgs/msg/JointState"

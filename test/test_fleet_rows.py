@@ -16,9 +16,9 @@ from test_verdict import SKIP, diagnosis
 from hd_diag.config.configuration import resolve
 from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.search.causes import causes
-from hd_diag.fleet.rows import Row, amplitude_std, judged, tasks
+from hd_diag.fleet.rows import Row, amplitude_std, judged
+from hd_diag.fleet.run import find_bags, survey, tasks
 from hd_diag.fleet.series import Series, classes, series_of
-from hd_diag.fleet.survey import find_bags, survey
 
 ENCODER, HYSTERESIS, BEARING = (
     EFFECTS[name] for name in ("input_encoder_eccentricity", "hysteresis", "bearing_passage")

@@ -19,8 +19,7 @@ from live import config
 from hd_diag.fleet import FleetError, cluster
 from hd_diag.fleet.cluster import ClusterPool
 from hd_diag.fleet.journal import Journal
-from hd_diag.fleet.run import Fleet, diagnose_fleet
-from hd_diag.fleet.survey import find_bags
+from hd_diag.fleet.run import Fleet, diagnose_fleet, find_bags
 from hd_diag.process_pool import ATTEMPTS, Failure, ProcessPool, run
 
 LATE = Failure("took longer than 1 s")

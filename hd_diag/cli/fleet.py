@@ -26,11 +26,10 @@ from hd_diag.fleet.cluster import ClusterPool
 from hd_diag.fleet.health_page import health_page
 from hd_diag.fleet.journal import JOURNAL_SUFFIX, BagPages, Journal
 from hd_diag.fleet.rows import PAGE
-from hd_diag.fleet.run import Fleet, Progress, diagnose_fleet
+from hd_diag.fleet.run import Fleet, Progress, diagnose_fleet, find_bags
 from hd_diag.fleet.series import ECCENTRICITY, ERROR, NOMINAL, REFIT, RIPPLE, series_of
 from hd_diag.fleet.standing import Health, health, limits_of
 from hd_diag.fleet.summary import as_json, attention_lines, headline, notes, sentences, table
-from hd_diag.fleet.survey import find_bags
 from hd_diag.fleet.trend import trends
 from hd_diag.model.threads import cores
 from hd_diag.process_pool import ProcessPool

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from hd_diag.fleet import FleetError
-from hd_diag.process_pool import Failure, guarded
+from hd_diag.process_pool import Failure
 
 # How long to wait [s]
 _CONNECT = 10.0  # for the scheduler
@@ -54,7 +54,7 @@ class ClusterPool:
     def send(self, worker: str, function: Callable[[Any], Any], item: Any) -> Any:
         """Give a worker a task."""
         key = f"hd_diag-{uuid.uuid4()}"
-        return self._client.submit(guarded, function, item, workers=[worker], key=key, pure=False)
+        return self._client.submit(function, item, workers=[worker], key=key, pure=False)
 
     def done(self, at_work: Mapping[Any, str], patience: float) -> list[tuple[Any, Any]]:
         """Tasks that have ended, with their outcomes."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,8 +14,8 @@ import numpy as np
 from hd_diag import __version__
 from hd_diag.bag import BagError
 from hd_diag.config.catalogue import load
-from hd_diag.config.configuration import Config, JointConfig
-from hd_diag.config.parameters import JOINT_PARAMETERS, Value
+from hd_diag.config.configuration import JointConfig
+from hd_diag.config.parameters import Value
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.diagnosis.judgement import Answer
@@ -27,7 +26,6 @@ from hd_diag.diagnosis.screening import screened
 from hd_diag.diagnosis.search.causes import Cause
 from hd_diag.diagnosis.verdict import as_json
 from hd_diag.effects import CATALOGUE
-from hd_diag.fleet.survey import Survey
 from hd_diag.formatting import json_ready
 from hd_diag.records.joint_record import read_bags, read_motion
 from hd_diag.replay.versions import running
@@ -44,8 +42,6 @@ Row = dict[str, Any]
 """Values by the names of `hd_diag.fleet.table.COLUMNS`; what is missing is unknown. `start` is in nanoseconds
 since 1970."""
 
-# Parameters that a diagnosis uses: neither limits nor the model file.
-_USED = [p.name for p in JOINT_PARAMETERS if not p.name.startswith("limits.") and p.name != "model_file"]
 _CONTENT = "3"  # of rows: results that a journal holds with another are made anew
 
 FITTED = {
@@ -85,20 +81,6 @@ class Task:
         added = (effect.name for effect in load() if effect not in CATALOGUE)
         parts = (SCHEMA, _CONTENT, __version__, self.digest, self.joint.name, self.config_digest, *added)
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
-
-
-def tasks(seen: Survey, config: Config, joints: tuple[JointConfig, ...]) -> list[Task]:
-    """The joints of a configuration of which a bag holds an angle, or a topic that a signal is mapped to."""
-    found = []
-    for joint in joints:
-        mapped = tuple(f"/{signal.topic.lstrip('/')}" for signal in joint.mapped.values() if signal.topic)
-        named = seen.names & {joint.input_joint, joint.output_joint}
-        if named or any(topic.endswith(mapped) for topic in seen.topics):
-            flat = {name: value for name, value in config.flat.items() if name.startswith(f"{joint.name}.")}
-            used = {name: flat[f"{joint.name}.{name}"] for name in _USED}
-            digest = hashlib.sha256(json.dumps(used, sort_keys=True).encode()).hexdigest()
-            found.append(Task(seen.path, joint, flat, seen.digest, digest, seen.messages))
-    return found
 
 
 def judge(task: Task) -> Row:

@@ -1,24 +1,28 @@
-"""A run over many bags: look at each, diagnose what is not known yet, put the rows together."""
+"""A run over many bags: find them, look at each, diagnose what is not known yet, put the rows together."""
 
 from __future__ import annotations
 
 import functools
+import hashlib
+import json
 import os
 import re
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from hd_diag.bag import BagError, BagReader
 from hd_diag.config.configuration import Config, JointConfig
-from hd_diag.config.parameters import shown
+from hd_diag.config.parameters import JOINT_PARAMETERS, shown
 from hd_diag.fleet import FleetError
 from hd_diag.fleet.journal import BagPages, Journal
-from hd_diag.fleet.rows import PAGE, Row, Task, judge, tasks
-from hd_diag.fleet.survey import Survey, survey
+from hd_diag.fleet.rows import PAGE, Row, Task, judge
 from hd_diag.formatting import listed
 from hd_diag.process_pool import Failure, Pool, run
-from hd_diag.replay.versions import running
+from hd_diag.records.joint_topics import joint_state_topics, joints_in
+from hd_diag.replay.versions import Versions, running
+from hd_diag.report.facts import sha256
 
 Progress = Callable[[str, int, int, int], None]
 """Called with the stage, how much of it is done, how much it has, and how many tasks are done."""
@@ -27,6 +31,30 @@ _Outcomes = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[tuple[int, 
 """`hd_diag.process_pool.run` of a function and items."""
 
 _NAMES_SHOWN = 8
+_SUFFIXES = (".mcap", ".db3")
+# Parameters that a diagnosis uses: neither limits nor the model file.
+_USED = [p.name for p in JOINT_PARAMETERS if not p.name.startswith("limits.") and p.name != "model_file"]
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What was seen of one bag; where it has an `error`, nothing else is known but its problems.
+
+    The digest of its contents; first log time [ns since 1970], None for an empty bag; how many messages and
+    which names its joint states have, where it has any; what is unfinished about its files; versions of the
+    worker that looked; topics; time from the first to the last message [s].
+    """
+
+    path: str
+    digest: str = ""
+    start: int | None = None
+    messages: int = 0
+    names: frozenset[str] = frozenset()
+    problems: tuple[str, ...] = ()
+    error: str = ""
+    versions: Versions = field(default_factory=running)
+    topics: frozenset[str] = frozenset()
+    duration: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -49,6 +77,67 @@ class Fleet:
         if match is None:
             raise FleetError(f"{shown(str(bag))}: --robot {self.robot.pattern} matches nothing in its path")
         return "".join(c for c in (match[1] if self.robot.groups else match[0]) or "" if c.isprintable())
+
+
+def find_bags(given: Iterable[Path]) -> list[Path]:
+    """Bags among files and folders, each once, in the order of their names within each folder.
+
+    A folder with a ``metadata.yaml`` is one bag; in other folders, at any depth, every ``.mcap`` and ``.db3``
+    file is one. A folder that cannot be listed is among the results, so that its error is reported.
+    """
+    unique: dict[str, Path] = {}
+    for path in given:
+        for bag in _within(path) if path.is_dir() else [path]:
+            unique.setdefault(os.path.realpath(bag), bag)
+    return list(unique.values())
+
+
+def _within(folder: Path) -> Iterator[Path]:
+    unreadable: list[Path] = []
+    for place, folders, files in os.walk(folder, onerror=lambda e: unreadable.append(Path(str(e.filename)))):
+        folders.sort()
+        if "metadata.yaml" in files:
+            folders.clear()
+            yield Path(place)
+            continue
+        yield from (Path(place, name) for name in sorted(files) if name.endswith(_SUFFIXES))
+    yield from unreadable
+
+
+def survey(path: str) -> Survey:
+    """Look at a bag: every byte is read twice, nothing is kept."""
+    try:
+        with BagReader(path) as reader:
+            if not reader.topics:
+                error = str(BagError(path, "holds no topic that can be read"))
+                return Survey(path, error=error, problems=tuple(reader.problems))
+            measured = joint_state_topics(reader)
+            return Survey(
+                path,
+                hashlib.sha256(b"".join(map(sha256, reader.paths))).hexdigest(),
+                reader.start if reader.message_count else None,
+                sum(topic.count for topic in reader.topics if topic.name in measured or not measured),
+                joints_in(reader),
+                tuple(reader.problems),  # last, with what reading showed
+                topics=frozenset(topic.name for topic in reader.topics),
+                duration=reader.duration,
+            )
+    except (BagError, OSError) as error:
+        return Survey(path, error=str(error if isinstance(error, BagError) else BagError(path, error)))
+
+
+def tasks(seen: Survey, config: Config, joints: tuple[JointConfig, ...]) -> list[Task]:
+    """The joints of a configuration of which a bag holds an angle, or a topic that a signal is mapped to."""
+    found = []
+    for joint in joints:
+        mapped = tuple(f"/{signal.topic.lstrip('/')}" for signal in joint.mapped.values() if signal.topic)
+        named = seen.names & {joint.input_joint, joint.output_joint}
+        if named or any(topic.endswith(mapped) for topic in seen.topics):
+            flat = {name: value for name, value in config.flat.items() if name.startswith(f"{joint.name}.")}
+            used = {name: flat[f"{joint.name}.{name}"] for name in _USED}
+            digest = hashlib.sha256(json.dumps(used, sort_keys=True).encode()).hexdigest()
+            found.append(Task(seen.path, joint, flat, seen.digest, digest, seen.messages))
+    return found
 
 
 def diagnose_fleet(

@@ -6,7 +6,7 @@ import base64
 import hashlib
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import Any
@@ -28,11 +28,9 @@ from hd_diag.formatting import (
     visible,
     words,
 )
-from hd_diag.report import captions
+from hd_diag.report.drawings import drawings
 from hd_diag.report.facts import Fact, JointReport, versions
-from hd_diag.report.pictures import comparison
 from hd_diag.report.pictures.markup import inline_svg
-from hd_diag.report.pictures.teeth import around_the_gear, tooth_maps
 from hd_diag.report.torsion import k_shown
 
 TERMS = {
@@ -68,7 +66,7 @@ def page(reports: Sequence[JointReport], sources: Sequence[Fact]) -> str:
     texts = [report.verdict for report in reports]
     for report in reports:
         name, pictures = f"joint{len(joints) + 1}", {}
-        for key, title, figure, caption in _drawings(report):
+        for key, title, figure, caption in drawings(report):
             svg = inline_svg(figure, f"{name}-{key}", title, caption)
             pictures[key] = {"svg": svg, "caption": caption}
             texts.append(caption)
@@ -85,29 +83,6 @@ def page(reports: Sequence[JointReport], sources: Sequence[Fact]) -> str:
         linked=Links(),
         ripple=ripple,
     )
-
-
-def _drawings(report: JointReport) -> Iterator[tuple[str, str, Any, str]]:
-    """Name, title, figure and caption of every picture of a joint."""
-    found, ladder, against = report.judgement, comparison.model_ladder, "Measured against simulated over"
-    if found is not None:
-        angle, torque, time = found.over_angle, found.over_torque, found.over_time
-        drawn = comparison.binned(angle, by_torque=False)
-        yield "angle", f"{against} the wave generator's angle", drawn, captions.over_angle(angle)
-        drawn = comparison.binned(torque, by_torque=True)
-        yield "torque", f"{against} torque", drawn, captions.over_torque(torque)
-        drawn = comparison.orders(found.orders, [mark.order for mark in found.marks], found.highest_order)
-        yield "orders", "Order spectrum", drawn, captions.orders(found)
-        if (rms := found.diagnosis.rms) and found.ladder:
-            yield "ladder", "Ladder of models", ladder(found.ladder, rms), captions.ladder(found)
-        yield "time", "The record over time", comparison.over_time(time), captions.over_time(time)
-    if report.ripple is not None:
-        drawn = comparison.ripple(report.ripple)
-        yield "ripple", "Ripple of the torque", drawn, captions.ripple(report.ripple)
-    drawn = comparison.torsion_curve(report.torsion, found is not None)
-    yield "torsion", "Torsion curve", drawn, captions.torsion(report)
-    yield "maps", "Backlash and load of every tooth", tooth_maps(report.teeth), captions.maps(report)
-    yield "around", "Around the gear", around_the_gear(report.teeth), captions.around(report.teeth)
 
 
 def rendered(template: str, styles: str = "", **content: Any) -> str:

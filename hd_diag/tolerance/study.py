@@ -147,22 +147,22 @@ def study(question: Question, pool: ProcessPool, progress: Progress) -> Study:
         assembly.check(population, float(tolerances[-1]))
     interference, limits = _limits(question, pool, progress)
     drawn = indices = None
-    factors, random = len(FACTORS), np.random.default_rng
     if question.samples:
-        numbers = random(question.seed).random((question.samples, factors))
+        numbers = np.random.default_rng(question.seed).random((question.samples, len(FACTORS)))
         done = progress("assemblies", assembly.chunks(question.samples))
         values = assembly.judged(pool, population, numbers, tolerances, done)
         together, each = assembly.yields(values, np.array([question.limits[name] for name in NAMES]))
         at_target = assembly.tolerance_at(together, tolerances, question.target)
         drawn = Yield(tolerances, population.tolerance, together, each, at_target)
     if samples := question.sensitivity_samples:
-        step = progress("sensitivity", assembly.chunks(sensitivity.evaluations(samples, factors)))
+        step = progress("sensitivity", assembly.chunks(sensitivity.evaluations(samples, len(FACTORS))))
         configured = np.array([population.tolerance])
 
         def model(numbers: Floats) -> Floats:
             return assembly.judged(pool, population, numbers, configured, step)[:, :, 0]
 
-        indices = sensitivity.indices(model, factors, samples, random(question.seed))
+        rng = np.random.default_rng(question.seed)
+        indices = sensitivity.indices(model, len(FACTORS), samples, rng)
     return Study(question, interference, limits, drawn, indices)
 
 
