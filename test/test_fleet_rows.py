@@ -140,6 +140,12 @@ def test_values_in_order_of_time_with_their_deviations() -> None:
     assert math.isnan(residual.limit)
 
 
+def test_joints_and_robots_are_kept_apart() -> None:
+    rows = [row(0), row(0, "joint_2"), row(1, robot="a"), row(1, robot="b")]
+    found = [(s.robot, s.joint) for s in series_of(rows, {}) if s.quantity == "eccentricity"]
+    assert found == [("", "joint_1"), ("", "joint_2"), ("a", "joint_1"), ("b", "joint_1")]
+
+
 def test_what_could_not_be_judged_is_no_value() -> None:
     rows = [row(0), row(1, trustworthy=False), {"bag": "x", "start": 5, "joint": None, "error": "broken"}]
     rows += [{"bag": "y", "start": None, "joint": "joint_1", "error": "empty"}]

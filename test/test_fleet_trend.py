@@ -56,6 +56,16 @@ def test_false_alarms_are_as_rare_as_stated(kind: str) -> None:
     assert alarms <= most_of(count)
 
 
+def test_false_alarms_of_a_whole_run_are_as_rare() -> None:
+    """Twelve series together raise one no more often than one alone."""
+    runs = 25
+    alarms = sum(
+        any(t.form != "constant" for t in trends([series(noise(100 * run + i, 15)) for i in range(12)]))
+        for run in range(runs)
+    )
+    assert alarms <= most_of(runs)
+
+
 # Steps ---
 
 
@@ -68,6 +78,7 @@ def test_a_step_is_found_where_it_is(seed: int) -> None:
     assert change.low <= START + 17.5 * DAY <= change.high
     assert abs((change.after - START) / DAY - 18) <= 1
     assert change.after - change.before == DAY
+    assert change.size_low < change.size < change.size_high
     assert abs(change.size - 4.0 * SIGMA) < 4.0 * SIGMA * math.sqrt(1 / 18 + 1 / 12)
     assert change.p_value == pytest.approx(0.001)
     place = np.arange(45)
@@ -206,3 +217,4 @@ def test_p_values_are_resolved_as_far_as_many_series_ask() -> None:
     assert found[-1].form == "steps"
     assert found[-1].step_p < FALSE_ALARM / (2 * 100)
     assert sum(t.form != "constant" for t in found[:-1]) <= 1
+    assert FALSE_ALARM == 0.05

@@ -14,8 +14,11 @@ from matplotlib.figure import Figure
 from report_samples import HOSTILE
 
 from hd_diag.config.configuration import resolve
+from hd_diag.diagnosis.gain import Rms
 from hd_diag.report.pictures import canvas
+from hd_diag.report.pictures.comparison import model_ladder
 from hd_diag.report.pictures.markup import inline_svg
+from hd_diag.report.stages import Rung
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -37,9 +40,12 @@ def test_a_hostile_name_is_letters_and_nothing_else() -> None:
     """No style either; ink is that of the page."""
     name = HOSTILE.replace("\x07", "")  # XML has no such character: the page spells it out before
     svg = inline_svg(labelled(name, name), "a", name, name)
-    tags = {element.tag for element in Xml.fromstring(svg).iter()}
+    root = Xml.fromstring(svg)
+    tags = {element.tag for element in root.iter()}
     assert not tags & {f"{SVG}script", f"{SVG}img", f"{SVG}style", f"{SVG}metadata"}
     assert texts(svg).count(name) == 2
+    told = {element.get("id"): element.text for element in root if element.get("id")}
+    assert told[root.get("aria-labelledby")] == told[root.get("aria-describedby")] == name
     assert [part for part in ("<script", "<img", "style=", "<style", canvas.INK) if part in svg] == []
     assert [part for part in ("currentColor", 'font-size="8.5"') if part not in svg] == []
 
@@ -65,6 +71,16 @@ def test_every_colour_stands_out_of_a_light_and_a_dark_page(page: str) -> None:
     used = (canvas.NOMINAL, canvas.REFIT, canvas.EXTENDED, canvas.ACCENT, canvas.GRID, *canvas.SERIES)
     for colour in used:
         assert contrast(*map(mpl.colors.to_rgb, (colour, page))) > 3.0, colour
+
+
+def test_a_ladder_shows_its_numbers() -> None:
+    arcsec = np.pi / 648000.0
+    rms = np.array([46.0, 12.5, 3.3]) * arcsec
+    names = ["as configured", "refitted", "+ hysteresis"]
+    held_out = Rms(*rms, rms[2], *rms[:2], 3.2 * arcsec, 3.1 * arcsec, 3.4 * arcsec)
+    rungs = [Rung(name, value, 0.9 * value, 1.1 * value) for name, value in zip(names, rms, strict=True)]
+    svg = inline_svg(model_ladder(rungs, held_out), "a", "", "")
+    assert {*names, "46.00", "12.50", "3.30"} <= set(texts(svg))
 
 
 def test_the_drawn_drives_labels_are_apart_and_teeth_interfere_between_lobe_and_eccentricity() -> None:

@@ -26,13 +26,13 @@ LATE = Failure("took longer than 1 s")
 
 
 class Workers:
-    """Two processes of this machine; what they note goes into `calls`."""
+    """Processes of this machine; what they note goes into `calls`."""
 
     def __init__(self, calls: Path) -> None:
         self.calls = calls
 
-    def pool(self) -> ProcessPool | ClusterPool:
-        return ProcessPool(2)
+    def pool(self, jobs: int = 2) -> ProcessPool | ClusterPool:
+        return ProcessPool(jobs)
 
     def renewed(self) -> None:
         """A worker comes for one that has gone: here the pool sees to it."""
@@ -52,7 +52,7 @@ class Cluster(Workers):
         for _ in range(workers):
             self.renewed()
 
-    def pool(self) -> ClusterPool:
+    def pool(self, jobs: int = 3) -> ClusterPool:
         pool_tasks.wait_for(lambda: self._file.exists() and self._file.read_text().endswith("}"))
         return ClusterPool(str(json.loads(self._file.read_text())["address"]))
 
@@ -136,10 +136,14 @@ def test_a_worker_that_is_killed_loses_nothing(workers: Workers) -> None:
 def test_what_hangs_ends_its_worker_once_and_the_others_go_on(workers: Workers) -> None:
     """The time is that of each item, not of the worker: the others together take longer."""
     names = ["a", "fifo", "b", "pattern", "c", "d"]
-    with workers.pool() as pool:
+    with workers.pool(jobs=1) as pool:
         results = dict(run(pool, pool_tasks.stuck, names, timeout=1.0))
     assert results == {0: "a", 1: LATE, 2: "b", 3: LATE, 4: "c", 5: "d"}
-    assert sorted(name for name, _ in workers.begun()) == sorted(names)
+    begun = workers.begun()
+    assert sorted(name for name, _ in begun) == sorted(names)
+    if not isinstance(workers, Cluster):  # one after the other, and a process for each that was killed
+        assert [name for name, _ in begun] == names
+        assert len({process for _, process in begun}) == 3
 
 
 # Processes ---

@@ -37,6 +37,7 @@ from hd_diag.formatting import arcsec, words
 from hd_diag.report.advice import COLOURS, Gauge, cards, worst
 from hd_diag.report.facts import Fact, JointReport, Judgement, quality_of, settings
 from hd_diag.report.page import TERMS, Links, page, used
+from hd_diag.report.torsion import k_shown
 
 SOURCES = [Fact("a.mcap", "SHA-256 0")]
 OTHER = pytest.param("input_encoder_eccentricity", marks=pytest.mark.slow)
@@ -175,6 +176,10 @@ def test_terms_are_explained_where_they_come_first() -> None:
     )
     assert list(used("lost motion of a datum")) == ["datum", "lost motion"]
     assert {"datum", "overlap", "interference", "lost motion", "windup"} <= set(TERMS)
+
+
+def test_a_stiffness_has_its_digits_in_small_and_in_large_gears() -> None:
+    assert [k_shown(k) for k in (512.0, 2.55e4, 3.0e4, 25.34e4)] == ["0.0512", "2.55", "3.00", "25.3"]
 
 
 def test_the_eccentricity_s_card_tells_what_a_dial_gauge_reads() -> None:
