@@ -9,7 +9,6 @@ from typing import Any
 ARCSEC = math.pi / 648_000.0
 """One second of arc [rad]."""
 
-_TURN = 2.0 * math.pi
 _DIGITS = 3  # of a number without a spread
 _MOST_DECIMALS = 6
 
@@ -20,7 +19,7 @@ SCALES = {
     "rad/K": (ARCSEC, "arcsec/K"),
     "m/N": (1e-9, "nm/N"),
     "s": (1e-6, "µs"),
-    "rad/s": (_TURN, "per second"),
+    "rad/s": (math.tau, "per second"),
     "N m": (1.0, "N m"),
     "-": (1.0, ""),
 }
@@ -30,18 +29,8 @@ SCALES = {
 def number(value: float, spread: float = math.nan, digits: int = _DIGITS) -> str:
     """A number, rounded to the first digit of its spread; to the second where the first is a 1.
 
-    Parameters
-    ----------
-    value : float
-    spread : float
-        Standard deviation; nan or zero where there is none.
-    digits : int
-        Significant ones where there is no spread.
-
-    Returns
-    -------
-    str
-        A dash where the value is not finite.
+    The spread is a standard deviation; where it is nan or zero the number has so many significant digits. A
+    dash where the value is not finite.
     """
     if not math.isfinite(value):
         return "–"
@@ -121,12 +110,7 @@ def listed(names: Sequence[str], most: int) -> str:
 def visible(text: str, longest: int | None = None) -> str:
     """Text with every character that does not print, or that turns the direction of others, spelled out.
 
-    Parameters
-    ----------
-    text : str
-        May come from a file, and be hostile.
-    longest : int, optional
-        Characters after which it is cut off.
+    Text from a file may be hostile; it is cut off after the `longest` number of characters.
     """
     part = text if longest is None else text[: longest + 1]
     shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in part)
@@ -136,10 +120,7 @@ def visible(text: str, longest: int | None = None) -> str:
 def json_ready(value: Any) -> Any:
     """A value as JSON can hold it: numbers that are not finite as None, numpy's types as Python's.
 
-    Parameters
-    ----------
-    value : any
-        Mappings, lists and tuples of any depth; numpy arrays and scalars; anything else stays.
+    Mappings, lists and tuples of any depth, numpy arrays and scalars; anything else stays.
     """
     if isinstance(value, Mapping):
         return {key: json_ready(item) for key, item in value.items()}

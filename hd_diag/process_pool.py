@@ -11,7 +11,7 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -38,14 +38,14 @@ class Failure:
 class Pool(Protocol):
     """Workers, each of which does one task at a time."""
 
-    def idle(self) -> Iterable[Any]:
-        """Workers that can take a task."""
+    def workers(self) -> Iterable[Any]:
+        """Those that are there."""
 
-    def send(self, worker: Any, number: int, function: Callable[[Any], Any], item: Any) -> None:
-        """Give a worker a task, known by its number."""
+    def send(self, worker: Any, function: Callable[[Any], Any], item: Any) -> Any:
+        """Give a worker a task; gives what stands for it."""
 
-    def done(self, patience: float) -> list[tuple[int, Any]]:
-        """Numbers and outcomes (result or `Failure`) of tasks that have ended; waits at most [s]."""
+    def done(self, at_work: Mapping[Any, Any], patience: float) -> list[tuple[Any, Any]]:
+        """Of tasks with their workers those that have ended, with result or `Failure`; waits at most [s]."""
 
 
 def run(
@@ -61,19 +61,21 @@ def run(
     that takes longer than the timeout [s] (0 = any), for which its worker is killed, and one whose worker
     died in `ATTEMPTS` attempts. `tick` is called several times a second; what it raises ends the run.
     """
-    waiting, at_work = deque(range(len(items))), 0
+    waiting, numbers, at_work = deque(range(len(items))), dict[Any, int](), dict[Any, Any]()
     deaths, started = [0] * len(items), [0.0] * len(items)
-    timed = functools.partial(_timed, function, timeout)
+    attempt = functools.partial(_attempt, function, timeout)
     while waiting or at_work:
         tick()
-        for worker in pool.idle() if waiting else ():
-            if waiting:
-                number = waiting.popleft()
-                started[number] = time.monotonic()
-                pool.send(worker, number, timed, items[number])
-                at_work += 1
-        for number, outcome in pool.done(_PATIENCE):
-            at_work -= 1
+        taken = set(at_work.values())
+        idle = [worker for worker in pool.workers() if worker not in taken] if waiting else []
+        for worker in idle[: len(waiting)]:
+            number = waiting.popleft()
+            started[number] = time.monotonic()
+            task = pool.send(worker, attempt, items[number])
+            numbers[task], at_work[task] = number, worker
+        for task, outcome in pool.done(at_work, _PATIENCE):
+            number = numbers.pop(task)
+            del at_work[task]
             if isinstance(outcome, Failure) and outcome.died:
                 deaths[number] += 1
                 if 0.0 < timeout <= time.monotonic() - started[number]:
@@ -86,23 +88,20 @@ def run(
             yield number, outcome
 
 
-def _timed(function: Callable[[Any], Any], timeout: float, item: Any) -> Any:
-    """The function's result; the system ends the process where it takes longer [s], wherever it hangs."""
+def _attempt(function: Callable[[Any], Any], timeout: float, item: Any) -> Any:
+    """The function's result, or a `Failure` for what it raised: not every exception can be pickled.
+
+    The system ends the process where it takes longer [s] (0 = any), wherever it hangs.
+    """
     signal.setitimer(signal.ITIMER_REAL, timeout)
-    try:
-        return function(item)
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-
-
-def guarded(function: Callable[[Any], Any], item: Any) -> Any:
-    """The function's result, or a `Failure` for what it raised: not every exception can be pickled."""
     try:
         return function(item)
     except MemoryError:
         return Failure("needs more memory than a worker may have")
     except Exception as error:
         return Failure(f"{type(error).__name__}: {error}")
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
 class ProcessPool:
@@ -116,7 +115,6 @@ class ProcessPool:
         self._memory = memory
         self._before = set(multiprocessing.active_children())
         self._lanes = [self._lane() for _ in range(jobs)]
-        self._at_work: dict[Future[Any], tuple[int, int]] = {}
 
     def _lane(self) -> ProcessPoolExecutor:
         # One process in each: an executor of several fails as a whole and does not say which task killed it.
@@ -141,33 +139,30 @@ class ProcessPool:
             done()
         return [found[number] for number in range(len(items))]
 
-    def idle(self) -> list[int]:
-        """Lanes without a task."""
-        taken = {lane for lane, _ in self._at_work.values()}
-        return [lane for lane in range(len(self._lanes)) if lane not in taken]
+    def workers(self) -> Iterable[int]:
+        """Numbers of the lanes."""
+        return range(len(self._lanes))
 
-    def send(self, worker: int, number: int, function: Callable[[Any], Any], item: Any) -> None:
+    def send(self, worker: int, function: Callable[[Any], Any], item: Any) -> Future[Any]:
         """Give a lane a task."""
         with _one_thread():
             try:
-                future = self._lanes[worker].submit(guarded, function, item)
+                return self._lanes[worker].submit(function, item)
             except BrokenProcessPool:  # died while it had nothing to do
                 self._lanes[worker] = self._lane()
-                future = self._lanes[worker].submit(guarded, function, item)
-        self._at_work[future] = worker, number
+                return self._lanes[worker].submit(function, item)
 
-    def done(self, patience: float) -> list[tuple[int, Any]]:
-        """Numbers and outcomes of tasks that have ended."""
-        outcomes: list[tuple[int, Any]] = []
-        for future in wait(self._at_work, patience, FIRST_COMPLETED).done:
-            lane, number = self._at_work.pop(future)
+    def done(self, at_work: Mapping[Future[Any], int], patience: float) -> list[tuple[Future[Any], Any]]:
+        """Tasks that have ended, with their outcomes; a lane whose process died gets another."""
+        outcomes: list[tuple[Future[Any], Any]] = []
+        for future in wait(at_work, patience, FIRST_COMPLETED).done:
             error = future.exception()
             if isinstance(error, BrokenProcessPool):
-                self._lanes[lane].shutdown(wait=False)
-                self._lanes[lane] = self._lane()
-                outcomes.append((number, Failure("killed, out of memory, or crashed", died=True)))
+                self._lanes[at_work[future]].shutdown(wait=False)
+                self._lanes[at_work[future]] = self._lane()
+                outcomes.append((future, Failure("killed, out of memory, or crashed", died=True)))
             else:
-                outcomes.append((number, future.result() if error is None else Failure(str(error))))
+                outcomes.append((future, future.result() if error is None else Failure(str(error))))
         return outcomes
 
     def __enter__(self) -> ProcessPool:
@@ -203,7 +198,6 @@ def _begin(memory: int) -> None:
 
 
 def _follow_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
+    if (parent := multiprocessing.parent_process()) is not None:
         parent.join()
         os._exit(1)

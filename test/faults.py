@@ -275,7 +275,7 @@ a worker killed by its bag | fleet | an error in that row; the others go on
 a FIFO, a socket or a device for a bag | fleet | an error in that row; not opened
     test_cli_fleet.py::test_what_is_no_file_is_reported_and_not_opened
 an address that is no scheduler's | fleet | code 2, one line
-    test_fleet_cluster.py::test_no_scheduler
+    test_process_pool.py::test_no_scheduler
 Ctrl-C | replay, recover | code 130; the bag is whole as far as it goes
     test_cli_bags.py::test_ctrl_c_leaves_a_whole_bag_and_says_what_there_is
 Ctrl-C | fleet | code 130; the same command goes on

@@ -1,13 +1,12 @@
 """What the workers of a pool do in the tests; in a module, for workers import it, and a light one."""
 
+import dataclasses
 import os
 import re
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-
-from hd_diag.process_pool import guarded
 
 CALLS = "HD_DIAG_TEST_CALLS"  # environment: folder in which every call leaves a file
 
@@ -84,24 +83,27 @@ class Unsendable(Exception):
 class PoolHere:
     """Stands in for a pool of processes: does its tasks at once, in this process."""
 
-    def __init__(self) -> None:
-        self._done: list[tuple[int, object]] = []
+    def workers(self) -> list[int]:
+        return [0]
 
-    def idle(self) -> list[int]:
-        return [0] * (not self._done)
+    def send(self, worker: int, function: Callable[[object], object], item: object) -> "Outcome":
+        return Outcome(function(item))
 
-    def send(self, worker: int, number: int, function: Callable[[object], object], item: object) -> None:
-        self._done.append((number, guarded(function, item)))
-
-    def done(self, patience: float) -> list[tuple[int, object]]:
-        ended, self._done = self._done, []
-        return ended
+    def done(self, at_work: Mapping["Outcome", int], patience: float) -> list[tuple["Outcome", object]]:
+        return [(task, task.value) for task in at_work]
 
     def __enter__(self) -> "PoolHere":
         return self
 
     def __exit__(self, *reason: object) -> None:
         pass
+
+
+@dataclasses.dataclass(eq=False)
+class Outcome:
+    """Of a task, which it stands for."""
+
+    value: object
 
 
 def alive(process: int) -> bool:

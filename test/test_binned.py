@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from hd_diag.report.binned import band, envelope, strongest
+from hd_diag.report.stages import band, envelope, strongest
 
 
 def samples(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -31,24 +31,22 @@ def test_bands_are_those_of_each_bin_s_samples(seed: int, count: int) -> None:
             assert_allclose((found.mean[row], found.low[row], found.high[row]), expected, atol=1e-12)
 
 
-def test_the_last_bin_has_its_end() -> None:
-    found = band(np.repeat([0.0, 1.0, 2.0], 5), np.ones(15), np.array([0.0, 1.0, 2.0]))
-    assert_array_equal(found.samples, [5, 10])
-
-
 @given(st.integers(0, 50), st.integers(2, 500), st.integers(1, 60))
 def test_an_envelope_loses_no_extreme(seed: int, count: int, stretches: int) -> None:
     place, value = samples(seed, count)
     found = envelope(place, value, stretches)
-    assert found.place.size == stretches
+    assert found.center.size == stretches
     assert_array_equal([np.nanmin(found.low), np.nanmax(found.high)], [value.min(), value.max()])
     width = (place[-1] - place[0]) / stretches
-    for each, low, high in zip(*found, strict=True):
+    for each, low, high in zip(found.center, found.low, found.high, strict=True):
         near = value[np.abs(place - each) < 0.5 * width * (1.0 - 1e-9)]
         assert near.size == 0 or (low <= near.min() and near.max() <= high)
 
 
-def test_a_stretch_without_samples_is_nan_and_nan_samples_do_not_count() -> None:
+def test_ends_gaps_and_nan() -> None:
+    """The last bin has its end; a stretch without samples is nan, and samples that are nan do not count."""
+    found = band(np.repeat([0.0, 1.0, 2.0], 5), np.ones(15), np.array([0.0, 1.0, 2.0]))
+    assert_array_equal(found.samples, [5, 10])
     found = envelope(np.array([0.0, 0.1, 9.9, 10.0]), np.array([1.0, np.nan, 3.0, 2.0]), 4)
     assert_array_equal(found.low, [1.0, np.nan, np.nan, 2.0])
     assert_array_equal(found.high, [1.0, np.nan, np.nan, 3.0])

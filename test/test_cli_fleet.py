@@ -10,6 +10,7 @@ import socket
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Callable
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ import pool_tasks
 import pyarrow.parquet as pq
 import pytest
 from browser import opened, page_faults
-from cli_runner import assert_one_line_error, hd_diag
+from cli_runner import assert_one_line_error, config_file, hd_diag
 from click.testing import Result
 from live import config
 
@@ -44,24 +45,60 @@ def findings(errors: str) -> list[str]:
     return [line for line in errors.splitlines() if not re.match("hd-diag: (reading|diagnosing): ", line)]
 
 
-def table(path: Path) -> list[dict]:
+def table(path: Path) -> list[dict[str, Any]]:
     return pq.read_table(path).to_pylist()
 
 
+class Runs:
+    """Runs over small bags with a diagnosis in place of the true one, which notes what it is asked for."""
+
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.folder, self._monkeypatch = folder, monkeypatch
+        self.bags, self.out = folder / "bags", folder / "f.parquet"
+        self.journal, self._calls = folder / "f.parquet.journal.jsonl", folder / "calls"
+        self._calls.mkdir()
+        monkeypatch.setenv(pool_tasks.CALLS, str(self._calls))
+        self.judge(fleet_tasks.quick)
+
+    def judge(self, diagnosis: Callable[[Task], Row]) -> None:
+        self._monkeypatch.setattr(run, "judge", diagnosis)
+
+    def __call__(self, days: int, *options: object, out: Path | None = None) -> Result:
+        return fleet(self.made(days), "--out", out or self.out, *options)
+
+    def made(self, days: int, folder: Path | None = None) -> Path:
+        """A folder with so many bags, one a day."""
+        bags = folder or self.bags
+        bags.mkdir(exist_ok=True)
+        for day, path in enumerate(bags / f"{day:02}.mcap" for day in range(days)):
+            if not path.exists():
+                fleet_tasks.small_bag(path, day)
+        return bags
+
+    @property
+    def calls(self) -> list[tuple[str, int]]:
+        return pool_tasks.calls(self._calls)
+
+    @property
+    def asked(self) -> list[str]:
+        return [name for name, _ in self.calls]
+
+    @property
+    def errors(self) -> list[str | None]:
+        return [row["error"] for row in table(self.out)]
+
+
 @pytest.fixture
-def here(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Tasks are done in this process."""
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Runs:
+    """Its tasks are done by workers."""
+    return Runs(tmp_path, monkeypatch)
+
+
+@pytest.fixture
+def here(elsewhere: Runs, monkeypatch: pytest.MonkeyPatch) -> Runs:
+    """Its tasks are done in this process."""
     monkeypatch.setattr(cli_fleet, "_pool", lambda options: pool_tasks.PoolHere())
-
-
-@pytest.fixture
-def quick(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Folder of what the quick diagnosis, in place of the true one, was asked for."""
-    monkeypatch.setattr(run, "judge", fleet_tasks.quick)
-    folder = tmp_path / "calls"
-    folder.mkdir()
-    monkeypatch.setenv(pool_tasks.CALLS, str(folder))
-    return folder
+    return elsewhere
 
 
 # The true diagnosis ---
@@ -113,22 +150,21 @@ def test_a_row_is_what_diagnose_says(judged: tuple[Result, Path]) -> None:
     """To the bits that sums on one thread and on several differ by."""
     _, folder = judged
     rows = [row for row in table(folder / "f.parquet") if row["error"] is None and not row["problems"]]
-    alone = hd_diag("diagnose", folder / "bags" / "good.mcap", "--json", "-")
-    written = json.loads(alone.stdout)
+    written = json.loads(hd_diag("diagnose", folder / "bags" / "good.mcap", "--json", "-").stdout)
+    size = written["refit"]["parameters"]["eccentricity.magnitude"]
+    normal = written["normal"]
+    equal = {name: written[name] for name in ("verdict", "judgement")}
+    equal |= {"samples": 4000, "causes": [cause["name"] for cause in written["causes"]]}
+    equal |= {"start": datetime(2026, 1, 1, tzinfo=timezone.utc)}
+    near = {"rms_extended_rad": written["gain"]["rms_extended"], "accuracy_rad": normal["accuracy"]}
+    near |= {"error_rad": normal["measured"], "error_std_rad": normal["std"]}
+    near |= {"eccentricity_m": size["value"], "eccentricity_std_m": size["std"]}
+    near |= {"eccentricity_allowed_m": written["tolerance"]["allowed"]}
+    assert written["record"]["samples"] == 4000
+    assert abs(size["value"] - 12e-6) < 4.0 * size["std"]
     for row in rows:
-        assert row["verdict"] == written["verdict"]
-        assert row["samples"] == written["record"]["samples"] == 4000
-        assert row["rms_extended_rad"] == pytest.approx(written["gain"]["rms_extended"], rel=SAME)
-        size = written["refit"]["parameters"]["eccentricity.magnitude"]
-        assert row["eccentricity_m"] == pytest.approx(size["value"], rel=SAME)
-        assert row["eccentricity_std_m"] == pytest.approx(size["std"], rel=SAME)
-        assert abs(row["eccentricity_m"] - 12e-6) < 4.0 * row["eccentricity_std_m"]
-        assert row["causes"] == [cause["name"] for cause in written["causes"]]
-        for quantity, name in (("error", "measured"), ("error_std", "std"), ("accuracy", "accuracy")):
-            assert row[f"{quantity}_rad"] == pytest.approx(written["normal"][name], rel=SAME)
-        assert row["eccentricity_allowed_m"] == pytest.approx(written["tolerance"]["allowed"], rel=SAME)
-        assert row["judgement"] == written["judgement"]
-        assert row["start"] == datetime(2026, 1, 1, tzinfo=timezone.utc)
+        assert {name: row[name] for name in equal} == equal
+        assert {name: row[name] for name in near} == pytest.approx(near, rel=SAME)
     assert len({row["bag_sha256"] for row in rows}) == 1
 
 
@@ -149,11 +185,7 @@ def test_what_a_run_says_in_the_terminal_and_in_json(judged: tuple[Result, Path]
     assert trend["needed"] > 4
     assert trend["last"]["time"] == "2026-01-02T00:00:00+00:00"
     assert (folder / "f.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_equal_contents_are_judged_once_and_kept(judged: tuple[Result, Path]) -> None:
-    """The good bag, the torn and the short one; what could not be read was not begun."""
-    _, folder = judged
+    # Equal contents are judged once: the good, the torn and the short bag; what cannot be read is not begun.
     assert len((folder / "f.parquet.journal.jsonl").read_text().splitlines()) == 3
 
 
@@ -185,91 +217,68 @@ def test_the_weekly_page_says_how_the_joint_stands_and_leads_to_its_page(
 # Going on ---
 
 
-def bags_of(folder: Path, count: int) -> Path:
-    folder.mkdir(exist_ok=True)
-    for day in range(count):
-        fleet_tasks.small_bag(folder / f"{day:02}.mcap", day)
-    return folder
-
-
-def test_what_is_known_is_not_judged_again_and_what_failed_is(
-    here: None, quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out, bags = tmp_path / "f.parquet", bags_of(tmp_path / "bags", 4)
-    with monkeypatch.context() as patch:
-        patch.setattr(run, "judge", lambda task: [][0])
-        failed = fleet(bags, "--out", out)
+def test_what_is_known_is_not_judged_again_and_what_failed_is(here: Runs) -> None:
+    here.judge(lambda task: [][0])
+    failed = here(4)
     assert (failed.exit_code, failed.stderr.count("joint_1: IndexError: ")) == (2, 4)
-    assert fleet(bags, "--out", out).exit_code == 0
-    first = out.read_bytes()
-    assert fleet(bags, "--out", out).exit_code == 0
-    assert len(pool_tasks.calls(quick)) == 4
-    assert out.read_bytes() == first
-    bags_of(bags, 5)
-    assert fleet(bags, "--out", out).exit_code == 0
-    assert [name for name, _ in pool_tasks.calls(quick)][4:] == ["04.mcap"]
-    assert fleet(bags, "--out", out, "--fresh").exit_code == 0
-    assert len(pool_tasks.calls(quick)) == 10
-    changed = tmp_path / "drive.yaml"
-    changed.write_text("hd_diag:\n  ros__parameters:\n    joint_1: {torque: 1.0}\n")
-    assert fleet(bags, "--out", out, "--config", changed).exit_code == 0
-    assert len(pool_tasks.calls(quick)) == 15
+    here.judge(fleet_tasks.quick)
+    assert here(4).exit_code == 0
+    first = here.out.read_bytes()
+    assert here(4).exit_code == 0
+    assert (len(here.asked), here.out.read_bytes()) == (4, first)
+    assert here(5).exit_code == 0
+    assert here.asked[4:] == ["04.mcap"]
+    assert here(5, "--fresh").exit_code == 0
+    assert len(here.asked) == 10
+    changed = config_file(here.folder, torque=1.0)
+    assert here(5, "--config", changed).exit_code == 0
+    assert len(here.asked) == 15
 
 
-def test_an_interrupted_run_goes_on(
-    here: None, quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_run_goes_on(here: Runs) -> None:
     """Ctrl-C: code 130, one line, no table; the next run judges what is missing, to the same table."""
-    out, bags = tmp_path / "f.parquet", bags_of(tmp_path / "bags", 6)
 
     def interrupting(task: Task) -> Row:
-        if len(pool_tasks.calls(quick)) == 2:
+        if len(here.asked) == 2:
             signal.raise_signal(signal.SIGINT)
         return fleet_tasks.quick(task)
 
-    with monkeypatch.context() as patch:
-        patch.setattr(run, "judge", interrupting)
-        result = fleet(bags, "--out", out)
-    journal = out.with_name("f.parquet.journal.jsonl")
-    kept = len(journal.read_text().splitlines())
-    line = f"hd-diag: interrupted: {kept} results are in {journal}; the same command goes on\n"
-    assert (result.exit_code, result.stdout, result.stderr, out.exists()) == (130, "", line, False)
-    begun = len(pool_tasks.calls(quick))
-    for path in (out, tmp_path / "whole.parquet"):
-        assert fleet(bags, "--out", path).exit_code == 0
+    here.judge(interrupting)
+    result = here(6)
+    kept = len(here.journal.read_text().splitlines())
+    line = f"hd-diag: interrupted: {kept} results are in {here.journal}; the same command goes on\n"
+    assert (result.exit_code, result.stdout, result.stderr, here.out.exists()) == (130, "", line, False)
+    here.judge(fleet_tasks.quick)
+    begun, whole = len(here.asked), here.folder / "whole.parquet"
+    assert (here(6).exit_code, here(6, out=whole).exit_code) == (0, 0)
     assert 2 <= kept < 6
-    assert len(pool_tasks.calls(quick)) == begun + (6 - kept) + 6
-    assert path.read_bytes() == out.read_bytes()
+    assert len(here.asked) == begun + (6 - kept) + 6
+    assert whole.read_bytes() == here.out.read_bytes()
 
 
-def test_a_full_disk_under_the_journal_ends_a_run_that_then_goes_on(
-    here: None, quick: Path, tmp_path: Path
-) -> None:
+def test_a_full_disk_under_the_journal_ends_a_run_that_then_goes_on(here: Runs) -> None:
     """The system ends a write in the middle of the second line; with room again only that is judged."""
-    out, bags = tmp_path / "f.parquet", bags_of(tmp_path / "bags", 4)
-    journal, before = out.with_name("f.parquet.journal.jsonl"), resource.getrlimit(resource.RLIMIT_FSIZE)
+    here.made(4)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
     try:
-        result = fleet(bags, "--out", out)
+        result = here(4)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert_one_line_error(result, f"{journal}: cannot be written: File too large")
-    begun, size = len(pool_tasks.calls(quick)), journal.stat().st_size
-    assert (size, out.exists()) == (1000, False)
-    result = fleet(bags, "--out", out)
-    assert result.exit_code == 0
-    assert (
-        f"{journal}: 1 of its lines are cut off or damaged; what they held is judged again" in result.stderr
-    )
-    assert len(pool_tasks.calls(quick)) == begun + 3
-    assert [row["error"] for row in table(out)] == [None] * 4
+    assert_one_line_error(result, f"{here.journal}: cannot be written: File too large")
+    begun = len(here.asked)
+    assert (here.journal.stat().st_size, here.out.exists()) == (1000, False)
+    result = here(4)
+    lost = f"{here.journal}: 1 of its lines are cut off or damaged; what they held is judged again"
+    assert (result.exit_code, lost in result.stderr) == (0, True)
+    assert len(here.asked) == begun + 3
+    assert here.errors == [None] * 4
 
 
 @pytest.mark.slow
-def test_ctrl_c_in_a_terminal_leaves_no_worker(quick: Path, tmp_path: Path) -> None:
+def test_ctrl_c_in_a_terminal_leaves_no_worker(elsewhere: Runs) -> None:
     """It goes to the whole group."""
-    out, bags = tmp_path / "f.parquet", bags_of(tmp_path / "bags", 12)
-    journal = tmp_path / "f.parquet.journal.jsonl"
+    out, bags, journal = elsewhere.out, elsewhere.made(12), elsewhere.journal
     code = (
         "import sys, fleet_tasks, hd_diag.fleet.run as run; from hd_diag.cli import main\n"
         "run.judge = fleet_tasks.slow; sys.argv[0] = 'hd-diag'; main()"
@@ -288,47 +297,35 @@ def test_ctrl_c_in_a_terminal_leaves_no_worker(quick: Path, tmp_path: Path) -> N
     said, errors = process.communicate(timeout=60)  # the pipes close when the last worker has ended
     assert (process.returncode, said, out.exists()) == (130, "", False)
     assert errors.splitlines()[-1].startswith("hd-diag: interrupted: ")  # after progress on a slow machine
-    assert not any(pool_tasks.alive(worker) for _, worker in pool_tasks.calls(quick))
+    assert not any(pool_tasks.alive(worker) for _, worker in elsewhere.calls)
 
 
-def test_robots_are_reported_apart(here: None, quick: Path, tmp_path: Path) -> None:
+def test_robots_are_reported_apart(here: Runs, tmp_path: Path) -> None:
     for robot in ("arm_a", "arm_b"):
-        bags_of(tmp_path / robot, 2)
-    out = tmp_path / "f.parquet"
-    result = fleet(
-        tmp_path / "arm_a", tmp_path / "arm_b", "--robot", r"(arm_.)/", "--out", out, "--json", "-"
-    )
-    written = json.loads(result.stdout)
-    assert {(trend["robot"], trend["bags"]) for trend in written["trends"]} == {("arm_a", 2), ("arm_b", 2)}
-    assert Counter(row["robot"] for row in table(out)) == {"arm_a": 2, "arm_b": 2}
-    assert_one_line_error(
-        fleet(tmp_path / "arm_a", "--robot", "leg", "--out", out), "--robot leg matches nothing"
-    )
+        here.made(2, tmp_path / robot)
+    arms = (tmp_path / "arm_a", tmp_path / "arm_b")
+    result = fleet(*arms, "--robot", r"(arm_.)/", "--out", here.out, "--json", "-")
+    trends = json.loads(result.stdout)["trends"]
+    assert {(trend["robot"], trend["bags"]) for trend in trends} == {("arm_a", 2), ("arm_b", 2)}
+    assert Counter(row["robot"] for row in table(here.out)) == {"arm_a": 2, "arm_b": 2}
+    none = fleet(arms[0], "--robot", "leg", "--out", here.out)
+    assert_one_line_error(none, "--robot leg matches nothing")
 
 
-def test_pages_are_drawn_of_last_recordings_once_and_go_when_newer_ones_come(
-    here: None, quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_pages_are_drawn_of_last_recordings_once_and_go_when_newer_ones_come(here: Runs) -> None:
     """Of what was judged without a page too; what is not the run's own stays."""
-    monkeypatch.setattr(run, "judge", fleet_tasks.drawn)
-    bags, out, page = bags_of(tmp_path / "bags", 3), tmp_path / "f.parquet", tmp_path / "week.html"
-    folder = tmp_path / "week_joints"
-    assert fleet(bags, "--out", out).exit_code == 0
+    here.judge(fleet_tasks.drawn)
+    page, folder = here.folder / "week.html", here.folder / "week_joints"
+    assert here(3).exit_code == 0
     assert (page.exists(), folder.exists()) == (False, False)
-    given = (bags, "--out", out, "--report", page)
-    assert fleet(*given).exit_code == 0
+    assert here(3, "--report", page).exit_code == 0
     (first,) = folder.iterdir()
     assert first.read_text() == "02.mcap"
-    assert [row["page"] for row in table(out)] == [None, None, f"week_joints/{first.name}"]
+    assert [row["page"] for row in table(here.out)] == [None, None, f"week_joints/{first.name}"]
     assert f'href="week_joints/{first.name}"' in page.read_text()
     (folder / "notes.html").touch()
-    assert fleet(*given).exit_code == 0
-    bags_of(bags, 4)
-    assert fleet(*given).exit_code == 0
-    assert [name for name, _ in pool_tasks.calls(quick)] == [
-        *("00.mcap", "01.mcap", "02.mcap"),
-        *("02.mcap", "03.mcap"),
-    ]
+    assert [here(days, "--report", page).exit_code for days in (3, 4)] == [0, 0]
+    assert here.asked == ["00.mcap", "01.mcap", "02.mcap", "02.mcap", "03.mcap"]
     (second,) = {*folder.iterdir()} - {folder / "notes.html"}
     assert (first.exists(), second.read_text()) == (False, "03.mcap")
     assert first.name not in page.read_text()
@@ -337,45 +334,28 @@ def test_pages_are_drawn_of_last_recordings_once_and_go_when_newer_ones_come(
 @pytest.mark.parametrize(
     ("arcsec", "least", "code"), [(40, "amber", 0), (90, "amber", 1), (90, "red", 0), (99, "red", 1)]
 )
-def test_it_fails_on_colours_where_asked(
-    here: None,
-    quick: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    arcsec: int,
-    least: str,
-    code: int,
-) -> None:
-    monkeypatch.setattr(run, "judge", lambda task: fleet_tasks.row(1e-6) | fleet_tasks.compared(arcsec))
-    given = (bags_of(tmp_path / "bags", 1), "--out", tmp_path / "f.parquet")
-    assert fleet(*given).exit_code == 0
-    assert fleet(*given, "--fail-on", least).exit_code == code
+def test_it_fails_on_colours_where_asked(here: Runs, arcsec: int, least: str, code: int) -> None:
+    here.judge(lambda task: fleet_tasks.result(1e-6, arcsec=arcsec))
+    assert (here(1).exit_code, here(1, "--fail-on", least).exit_code) == (0, code)
 
 
-def test_steps_and_causes_are_reported_and_fail_on_request(
-    here: None, quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(run, "judge", fleet_tasks.stepped)
-    bags, out = bags_of(tmp_path / "bags", 16), tmp_path / "f.parquet"
-    result = fleet(bags, "--out", out, "--fail-on-change", "--figure", tmp_path / "f.svg")
+def test_steps_and_causes_are_reported_and_fail_on_request(here: Runs) -> None:
+    here.judge(fleet_tasks.stepped)
+    result = here(16, "--fail-on-change", "--figure", here.folder / "f.svg")
     assert result.exit_code == 1
     steps = [line for line in result.stdout.splitlines() if "stepped by" in line]
     named = {line.partition(" stepped")[0] for line in steps}
     assert named == {"joint_1: residual nominal", "joint_1: residual refit"}
     assert all("between 2026-01-08 00:00 and 2026-01-09 00:00" in line for line in steps)
-    assert fleet(bags, "--out", out, "--fail-on-cause").exit_code == 0
-    monkeypatch.setattr(run, "judge", fleet_tasks.caused)
-    given = (bags / "00.mcap", bags / "01.mcap", "--out", tmp_path / "c.parquet")
-    assert fleet(*given).exit_code == 0
-    assert fleet(*given, "--fail-on-cause").exit_code == 1
+    assert here(16, "--fail-on-cause").exit_code == 0
+    here.judge(fleet_tasks.caused)
+    given = (here.bags / "00.mcap", here.bags / "01.mcap", "--out", here.folder / "c.parquet")
+    assert (fleet(*given).exit_code, fleet(*given, "--fail-on-cause").exit_code) == (0, 1)
 
 
-def test_a_drift_is_reported_with_the_day_of_its_limit(
-    here: None, quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(run, "judge", fleet_tasks.drifting)
-    bags, out = bags_of(tmp_path / "bags", 14), tmp_path / "f.parquet"
-    result = fleet(bags, "--out", out, "--limit", "residual_refit=3e-5", "--json", "-")
+def test_a_drift_is_reported_with_the_day_of_its_limit(here: Runs) -> None:
+    here.judge(fleet_tasks.drifting)
+    result = here(14, "--limit", "residual_refit=3e-5", "--json", "-")
     found = {trend["quantity"]: trend for trend in json.loads(result.stdout)["trends"]}
     limit = found["residual_refit"]["limit"]
     assert limit["reached_low"] < limit["reached"] < limit["reached_high"]
@@ -390,51 +370,42 @@ def test_a_drift_is_reported_with_the_day_of_its_limit(
     ("judge", "error", "times"), [(fleet_tasks.stuck_first, LATE, 1), (fleet_tasks.deadly_first, KILLED, 3)]
 )
 def test_a_bag_that_ends_its_worker_is_reported_and_tried_again_by_the_next_run(
-    quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, judge: Any, error: str, times: int
+    elsewhere: Runs, judge: Any, error: str, times: int
 ) -> None:
-    monkeypatch.setattr(run, "judge", judge)
-    bags, out = bags_of(tmp_path / "bags", 3), tmp_path / "f.parquet"
-    result = fleet(bags, "--out", out, "--bag-timeout", 4 if error == LATE else 60)
-    told = f"not judged: {bags}/00.mcap: joint_1: {error} (recorded 2026-01-01 00:00)"
+    elsewhere.judge(judge)
+    result = elsewhere(3, "--bag-timeout", 4 if error == LATE else 60)
+    told = f"not judged: {elsewhere.bags}/00.mcap: joint_1: {error} (recorded 2026-01-01 00:00)"
     assert (result.exit_code, findings(result.stderr)) == (0, [told])
-    assert [row["error"] for row in table(out)] == [error, None, None]
-    assert Counter(name for name, _ in pool_tasks.calls(quick))["ended"] == times
-    monkeypatch.setattr(run, "judge", fleet_tasks.quick)
-    assert fleet(bags, "--out", out).exit_code == 0
-    assert [row["error"] for row in table(out)] == [None] * 3
-    begun = Counter(name for name, _ in pool_tasks.calls(quick))
-    assert begun == {"ended": times, "00.mcap": 1, "01.mcap": 1, "02.mcap": 1}
+    assert elsewhere.errors == [error, None, None]
+    elsewhere.judge(fleet_tasks.quick)
+    assert elsewhere(3).exit_code == 0
+    assert elsewhere.errors == [None] * 3
+    assert Counter(elsewhere.asked) == {"ended": times, "00.mcap": 1, "01.mcap": 1, "02.mcap": 1}
 
 
 @pytest.mark.slow
-def test_a_bag_that_hangs_while_it_is_looked_at(
-    quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bag_that_hangs_while_it_is_looked_at(elsewhere: Runs, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run, "survey", fleet_tasks.stuck_survey)
-    bags, out = bags_of(tmp_path / "bags", 2), tmp_path / "f.parquet"
-    assert fleet(bags, "--out", out, "--bag-timeout", "4").exit_code == 0
-    assert [row["error"] for row in table(out)] == [LATE, None]
+    assert elsewhere(2, "--bag-timeout", "4").exit_code == 0
+    assert elsewhere.errors == [LATE, None]
 
 
-def test_what_is_no_file_is_reported_and_not_opened(
-    here: None, quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_no_file_is_reported_and_not_opened(here: Runs, monkeypatch: pytest.MonkeyPatch) -> None:
     """Opened, the FIFOs would hang and the device never end; no circle is followed."""
-    bags, out = tmp_path / "bags", tmp_path / "f.parquet"
-    (bags / "deep").mkdir(parents=True)
+    bags = here.bags
+    for folder in ("deep", "whole"):
+        (bags / folder).mkdir(parents=True)
     fleet_tasks.small_bag(bags / "good.mcap")
     (bags / "deep" / "back").symlink_to(bags)
-    os.mkfifo(bags / "fifo.mcap")
     (bags / "circle.mcap").symlink_to("circle.mcap")
     (bags / "device.db3").symlink_to("/dev/zero")
     with socket.socket(socket.AF_UNIX) as bound:
         monkeypatch.chdir(bags)  # the name of a socket must be short
         bound.bind("socket.mcap")
-    (bags / "whole").mkdir()
-    os.mkfifo(bags / "whole" / "metadata.yaml")
-    os.mkfifo(bags / "whole" / "whole_0.mcap")
-    assert fleet(bags, "--out", out, "--bag-timeout", "60").exit_code == 0
-    errors = {Path(row["bag"]).name: row["error"] for row in table(out)}
+    for name in ("fifo.mcap", "whole/metadata.yaml", "whole/whole_0.mcap"):
+        os.mkfifo(bags / name)
+    assert here(0, "--bag-timeout", "60").exit_code == 0
+    errors = {Path(row["bag"]).name: row["error"] for row in table(here.out)}
     no_file = "is not a file or folder"
     assert errors == {
         "good.mcap": None,
@@ -449,30 +420,24 @@ def test_what_is_no_file_is_reported_and_not_opened(
 # Bad input ---
 
 
-def test_no_bag_that_can_be_judged(here: None, tmp_path: Path) -> None:
-    (tmp_path / "a.mcap").write_bytes(b"garbage")
-    result = fleet(tmp_path, "--out", tmp_path / "f.parquet")
-    assert result.exit_code == 2
+def test_no_bag_that_can_be_judged(here: Runs) -> None:
+    here.bags.mkdir()
+    (here.bags / "a.mcap").write_bytes(b"garbage")
+    result = here(0)
+    assert (result.exit_code, here.errors) == (2, ["is not an MCAP file"])
     assert result.stderr.splitlines()[-1] == "hd-diag: no bag could be judged"
-    assert [row["error"] for row in table(tmp_path / "f.parquet")] == ["is not an MCAP file"]
 
 
-def test_what_is_not_installed_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    bag, out = fleet_tasks.small_bag(tmp_path / "a.mcap"), tmp_path / "f.parquet"
-    monkeypatch.setattr(cli_fleet, "_NEEDED", ("pyarrow", "no_such_module"))
-    said = f"fleet needs no_such_module: {sys.executable} -m pip install 'hd_diag[fleet]'"
-    assert_one_line_error(fleet(bag, "--out", out), said)
-    monkeypatch.undo()
+def test_what_is_not_installed_is_reported(elsewhere: Runs, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(cli_fleet, "_NEEDED", ("pyarrow", "no_such_module"))
+        said = f"fleet needs no_such_module: {sys.executable} -m pip install 'hd_diag[fleet]'"
+        assert_one_line_error(elsewhere(1), said)
     monkeypatch.setitem(sys.modules, "distributed", None)
-    needs = fleet(bag, "--out", out, "--scheduler", "tcp://127.0.0.1:9", jobs=False)
+    needs = fleet(elsewhere.bags, "--out", elsewhere.out, "--scheduler", "tcp://127.0.0.1:9", jobs=False)
     assert_one_line_error(needs, "--scheduler needs Dask: pip install 'hd_diag[cluster]'")
 
 
-def test_workers_of_another_version_are_refused(
-    quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    bag = fleet_tasks.small_bag(tmp_path / "a.mcap")
+def test_workers_of_another_version_are_refused(elsewhere: Runs, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hd_diag.__version__", "9.9")
-    assert_one_line_error(
-        fleet(bag, "--out", tmp_path / "f.parquet"), "a worker has hd_diag 0.1.0, this is 9.9"
-    )
+    assert_one_line_error(elsewhere(1), "a worker has hd_diag 0.1.0, this is 9.9")

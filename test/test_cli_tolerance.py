@@ -13,9 +13,8 @@ from hd_diag.config.configuration import resolve
 from hd_diag.config.defaults import EXAMPLE
 from hd_diag.drive import mesh_state
 from hd_diag.tolerance.assembly import FACTORS, Share
-from hd_diag.tolerance.criteria import NAMES
-from hd_diag.tolerance.document import yielded
-from hd_diag.tolerance.study import Question, Yield, limits_and_spreads
+from hd_diag.tolerance.evaluation import NAMES
+from hd_diag.tolerance.study import Question, Yield, limits_and_spreads, yielded
 
 QUICK = ("tolerance", "--samples", "12", "--sensitivity-samples", "2", "--jobs", "1")
 
@@ -78,14 +77,11 @@ def test_few_assemblies_do_not_tell_of_a_share(share: float, high: float, at: fl
     assert said in yielded(question, Yield(np.zeros(1), 1e-5, column, [], at))
 
 
-def test_first_interference_is_the_paper_s(told: dict[str, Any]) -> None:
+def test_numbers_of_the_json_are_the_paper_s_and_the_mesh_s(told: dict[str, Any]) -> None:
     first = told["interference"]
     across = first["across_long_axis"]["eccentricity"]
     assert across == pytest.approx(published.ECCENTRICITY_AT_ROUNDED_DATUM, abs=0.01e-6)
     assert first["all_teeth"]["eccentricity"] < first["any_direction"]["eccentricity"] < across
-
-
-def test_a_direction_and_input_angle_of_the_json_are_the_mesh_s(told: dict[str, Any]) -> None:
     found = told["limits"][0]["criteria"]["peak_tooth_load"]
     magnitude, direction = found["eccentricity"], found["worst"]["direction"]
     given = {"joint_1.eccentricity.magnitude": magnitude, "joint_1.eccentricity.direction": direction}

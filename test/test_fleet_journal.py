@@ -76,7 +76,8 @@ def test_a_journal_that_cannot_be_made(tmp_path: Path) -> None:
 
 def test_the_table_has_every_column_with_unit_and_values_as_they_were(tmp_path: Path) -> None:
     path = tmp_path / "f.parquet"
-    row = {**fleet_tasks.row(1e-6 / 3), "bag": "a\n\udcff.mcap", "start": fleet_tasks.BEGIN + 1_002_003}
+    own = {"bag": "a\n\udcff.mcap", "start": fleet_tasks.BEGIN + 1_002_003, "tested": ["hysteresis"]}
+    row = fleet_tasks.row(residual=1e-6 / 3, **own)
     write_table(path, [row, {"bag": "b", "error": "why"}])
     stored = pq.read_table(path)
     assert stored.schema.names == COLUMNS.names

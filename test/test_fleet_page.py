@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from browser import opened, page_faults
-from fleet_samples import BEGIN, CAUSED, fleet_rows, judged, row
+from fleet_tasks import BEGIN, CAUSED, DAY, fleet_rows, judged, row
 from report_samples import HOSTILE
 
 from hd_diag.fleet.health_page import health_page
@@ -109,10 +109,9 @@ def test_what_is_missing_stands_before_the_joints(some: str) -> None:
 
 def test_what_changed_stands_in_its_row_with_its_day(tmp_path: Path) -> None:
     """A drift towards the limit, and the day on which that is reached."""
-    day = 86_400 * 10**9
-    rows = [row(30.0 + 2.0 * n, start=BEGIN + n * day, bag=f"{n}.mcap") for n in range(16)]
+    rows = [row(30.0 + 2.0 * n, start=BEGIN + n * DAY, bag=f"{n}.mcap") for n in range(16)]
     page = Path(written(tmp_path / "week.html", rows).removeprefix("file://")).read_text()
     assert "1 changed over time" in page
     drift = re.search(r"transmission error drifts by \+60.*?reaches the limit of 90 arcsec on ([\d-]+)", page)
     assert drift is not None
-    assert drift[1] == "2026-02-04"  # 30 days after the first
+    assert drift[1] == "2026-01-31"  # 30 days after the first

@@ -1,13 +1,24 @@
-"""A row of the fleet's table: deviations of the amplitudes, for causes of every kind."""
+"""Rows of the fleet's table: which bags and joints, what is kept of a diagnosis, rows as series over time."""
 
+import hashlib
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import fleet_tasks
 import numpy as np
 import pytest
 from benches import EFFECTS, bench, of
+from numpy.testing import assert_allclose
 from test_verdict import SKIP, diagnosis
 
+from hd_diag.config.configuration import resolve
 from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.search.causes import causes
-from hd_diag.fleet.rows import amplitude_std, judged
+from hd_diag.fleet.rows import Row, amplitude_std, judged
+from hd_diag.fleet.run import find_bags, survey, tasks
+from hd_diag.fleet.series import Series, classes, series_of
 
 ENCODER, HYSTERESIS, BEARING = (
     EFFECTS[name] for name in ("input_encoder_eccentricity", "hysteresis", "bearing_passage")
@@ -17,10 +28,9 @@ ENCODER, HYSTERESIS, BEARING = (
 def test_a_finding_about_the_signals_is_no_cause() -> None:
     """Causes, amplitudes and their deviations are as many."""
     found = diagnosis(findings=(Finding("clock_set_back", "the clock was set back", 1.0, "-", False), SKIP))
-    row = judged(found, "joint_1")
-    assert row["causes"] == ["tooth_skip"]
-    assert len(row["cause_amplitudes_rad"]) == len(row["cause_amplitude_stds_rad"]) == 1
-    assert len(row["findings"]) == 2
+    told = judged(found, "joint_1")
+    lengths = [len(told[f"cause_amplitude{end}"]) for end in ("s_rad", "_stds_rad")]
+    assert (told["causes"], lengths, len(told["findings"])) == (["tooth_skip"], [1, 1], 2)
 
 
 def test_the_deviation_of_an_amplitude_is_that_of_drawn_coefficients() -> None:
@@ -37,3 +47,129 @@ def test_the_deviation_of_an_amplitude_is_that_of_drawn_coefficients() -> None:
         drawn = rng.multivariate_normal(big, cause.covariance[own, own], 1000)
         expected = np.std(np.std(columns @ drawn.T, axis=0))
         assert amplitude_std(made, cause) == pytest.approx(expected, rel=0.15), cause.effect.name
+
+
+# Bags and joints ---
+
+
+def test_bags_in_folders_at_any_depth_each_once(tmp_path: Path) -> None:
+    """A folder with metadata is one bag, whatever is in it; links are not followed in circles."""
+    names = "b/2.mcap b/10.db3 a/metadata.yaml a/a_0.mcap a/deep/x.mcap notes.txt z.mcap"
+    for path in map(tmp_path.joinpath, names.split()):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    (tmp_path / "b" / "loop").symlink_to(tmp_path)
+    (tmp_path / "again.mcap").symlink_to(tmp_path / "b" / "2.mcap")
+    found = find_bags([tmp_path, tmp_path / "z.mcap", tmp_path / "none.mcap"])
+    expected = "again.mcap z.mcap a b/10.db3 none.mcap"
+    assert [str(path.relative_to(tmp_path)) for path in found] == expected.split()
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may list every folder")
+def test_a_folder_that_cannot_be_listed_is_reported(tmp_path: Path) -> None:
+    closed = tmp_path / "closed"
+    closed.mkdir(mode=0)
+    assert find_bags([tmp_path]) == [closed]
+    assert "Permission denied" in survey(str(closed)).error
+
+
+def test_a_survey(tmp_path: Path) -> None:
+    seen = survey(str(fleet_tasks.small_bag(tmp_path / "a.mcap", 3)))
+    assert (seen.error, seen.messages, seen.problems) == ("", 12, ())
+    assert seen.names == {"joint_1_motor", "joint_1"}
+    assert seen.start == fleet_tasks.BEGIN + 3 * fleet_tasks.DAY
+    own = hashlib.sha256((tmp_path / "a.mcap").read_bytes()).digest()
+    assert seen.digest == hashlib.sha256(own).hexdigest()
+
+
+def test_tasks_are_the_joints_that_a_bag_holds(tmp_path: Path) -> None:
+    """One of two angles is enough to be asked for, and reported with why it is not judged."""
+    config = resolve({"joints": ["joint_1", "joint_2", "joint_3"]})
+    path = fleet_tasks.small_bag(tmp_path / "a.mcap", names=("joint_2", "joint_3", "joint_3_motor"))
+    found = tasks(survey(str(path)), config, config.joints)
+    assert [task.joint.name for task in found] == ["joint_2", "joint_3"]
+
+
+def test_the_key_of_a_result_is_what_it_depends_on(tmp_path: Path) -> None:
+    first = survey(str(fleet_tasks.small_bag(tmp_path / "a.mcap")))
+    renamed = survey(str((tmp_path / "a.mcap").rename(tmp_path / "b.mcap")))
+    other = survey(str(fleet_tasks.small_bag(tmp_path / "c.mcap", 1)))
+
+    def key(seen=first, **values) -> str:
+        config = resolve({f"joint_1.{name.replace('__', '.')}": value for name, value in values.items()})
+        return tasks(seen, config, config.joints)[0].key
+
+    assert key(renamed) == key(limits__residual_rms__error=1e-3) == key()
+    turned = key(output_joint="joint_1_motor", input_joint="joint_1")
+    assert len({key(), key(other), key(torque=1.0), key(eccentricity__magnitude=1e-6), turned}) == 5
+
+
+# Series ---
+
+
+def row(day: int, joint: str = "joint_1", robot: str | None = None, **given: Any) -> Row:
+    start = fleet_tasks.BEGIN + day * fleet_tasks.DAY
+    own = {"bag": f"{day}.mcap", "robot": robot, "start": start, "joint": joint}
+    own |= {"tested": ["hysteresis"], "tested_least_rad": [1e-6]}
+    return fleet_tasks.row(residual=1e-6 * (1 + day), **{**own, **given})
+
+
+def named(name: str, *alike: str, size: float | None = 3e-6) -> dict[str, Any]:
+    return {
+        "causes": [name],
+        "cause_classes": [[name, *alike]],
+        "cause_amplitudes_rad": [size],
+        "cause_amplitude_stds_rad": [None if size is None else 1e-7],
+        "tested": [],
+        "tested_least_rad": [],
+    }
+
+
+def by_quantity(rows: list[Row], **limits: float) -> dict[str, Series]:
+    return {s.quantity: s for s in series_of(rows, {("joint_1", k): v for k, v in limits.items()})}
+
+
+def test_values_in_order_of_time_with_their_deviations() -> None:
+    found = by_quantity([row(day) for day in (2, 0, 1)])
+    assert set(found) == {"eccentricity", "transmission_error", "residual_nominal", "residual_refit"}
+    residual = found["residual_refit"]
+    assert_allclose(np.diff(residual.time), 86_400.0)
+    assert_allclose(residual.value, [1e-6, 2e-6, 3e-6])
+    assert_allclose(residual.std / residual.value, 0.04 / 2 / 1.96, rtol=1e-4)
+    assert_allclose(found["eccentricity"].std, 1e-7)
+    assert math.isnan(residual.limit)
+
+
+def test_joints_and_robots_are_kept_apart() -> None:
+    rows = [row(0), row(0, "joint_2"), row(1, robot="a"), row(1, robot="b")]
+    found = [(s.robot, s.joint) for s in series_of(rows, {}) if s.quantity == "eccentricity"]
+    assert found == [("", "joint_1"), ("", "joint_2"), ("a", "joint_1"), ("b", "joint_1")]
+
+
+def test_what_could_not_be_judged_is_no_value() -> None:
+    rows = [row(0), row(1, trustworthy=False), {"bag": "x", "start": 5, "joint": None, "error": "broken"}]
+    rows += [{"bag": "y", "start": None, "joint": "joint_1", "error": "empty"}]
+    rows += [row(2, rms_nominal_rad=None), row(0, **named("tooth_skip", size=None))]
+    found = by_quantity(rows)
+    assert [found[q].value.size for q in ("eccentricity", "residual_nominal")] == [2, 3]
+    assert "tooth_skip" not in found
+
+
+def test_a_cause_that_was_not_found_is_below_what_would_have_been() -> None:
+    rows = [row(0), row(1, **named("hysteresis")), row(2, tested=[], tested_least_rad=[])]
+    found = by_quantity(rows)["hysteresis"]
+    assert_allclose(found.value, [0.0, 3e-6])
+    assert_allclose(found.std, [0.5e-6, 1e-7])
+
+
+def test_causes_that_a_record_cannot_tell_apart_are_one() -> None:
+    rows = [row(0, **named("output_runout", "output_encoder_eccentricity"))]
+    rows += [row(1, **named("output_encoder_eccentricity", size=4e-6))]
+    found = by_quantity(rows, output_runout=1e-5)
+    both = found["output_encoder_eccentricity or output_runout"]
+    assert_allclose(both.value, [3e-6, 4e-6])
+    assert both.limit == 1e-5
+
+
+def test_classes_join_where_they_touch() -> None:
+    assert classes([[["a", "b"]], [["c"]], [["d", "c"], ["b", "e"]]]) == [frozenset("abe"), frozenset("cd")]

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fleet_samples import ACCURACY, ALLOWED, BEGIN, WEEK, judged, row
+from fleet_tasks import ACCURACY, ALLOWED, BEGIN, WEEK, judged, row
 
 from hd_diag.fleet.series import series_of
 from hd_diag.fleet.standing import health

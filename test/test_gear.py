@@ -37,7 +37,7 @@ from hd_diag.report.teeth import teeth_over_turn
 from hd_diag.ros.parameter_server import ParameterServer
 from hd_diag.tolerance import assembly
 from hd_diag.tolerance.assembly import FACTORS, Population, Spread, draw
-from hd_diag.tolerance.criteria import NAMES as NAMES_OF_CRITERIA
+from hd_diag.tolerance.evaluation import NAMES as NAMES_OF_CRITERIA
 from hd_diag.tolerance.evaluation import reference_stiffness
 from hd_diag.tolerance.study import limits_and_spreads
 

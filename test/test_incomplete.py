@@ -17,8 +17,8 @@ from test_recording import COLUMNS, Message, read, states, temperatures, whole, 
 from hd_diag.bag import BagReader
 from hd_diag.diagnosis.record import RecordError
 from hd_diag.diagnosis.stamps import Stamps
-from hd_diag.fleet.rows import judge, tasks
-from hd_diag.fleet.survey import survey
+from hd_diag.fleet.rows import judge
+from hd_diag.fleet.run import survey, tasks
 from hd_diag.records.tables import Table, read_tables
 
 

@@ -15,10 +15,10 @@ from report_samples import HOSTILE
 
 from hd_diag.config.configuration import resolve
 from hd_diag.diagnosis.gain import Rms
-from hd_diag.report.ladder import Rung
 from hd_diag.report.pictures import canvas
 from hd_diag.report.pictures.comparison import model_ladder
 from hd_diag.report.pictures.markup import inline_svg
+from hd_diag.report.stages import Rung
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -37,13 +37,17 @@ def texts(svg: str) -> list[str]:
 
 
 def test_a_hostile_name_is_letters_and_nothing_else() -> None:
+    """No style either; ink is that of the page."""
     name = HOSTILE.replace("\x07", "")  # XML has no such character: the page spells it out before
     svg = inline_svg(labelled(name, name), "a", name, name)
-    tags = {element.tag for element in Xml.fromstring(svg).iter()}
+    root = Xml.fromstring(svg)
+    tags = {element.tag for element in root.iter()}
     assert not tags & {f"{SVG}script", f"{SVG}img", f"{SVG}style", f"{SVG}metadata"}
     assert texts(svg).count(name) == 2
-    assert "<script" not in svg
-    assert "<img" not in svg
+    told = {element.get("id"): element.text for element in root if element.get("id")}
+    assert told[root.get("aria-labelledby")] == told[root.get("aria-describedby")] == name
+    assert [part for part in ("<script", "<img", "style=", "<style", canvas.INK) if part in svg] == []
+    assert [part for part in ("currentColor", 'font-size="8.5"') if part not in svg] == []
 
 
 def test_nothing_in_it_is_mathematics_whatever_matplotlib_is_set_to() -> None:
@@ -53,25 +57,12 @@ def test_nothing_in_it_is_mathematics_whatever_matplotlib_is_set_to() -> None:
     assert svg == inline_svg(labelled("$\\frac{1}{2}$ and $x$"), "a", "", "")
 
 
-def test_ids_are_the_picture_s_own_and_every_reference_has_one() -> None:
-    pictures = [inline_svg(labelled("same"), name, "", "") for name in ("first", "second")]
-    ids = [set(re.findall(r'\bid="([^"]+)"', svg)) for svg in pictures]
-    assert not ids[0] & ids[1]
-    for svg, own in zip(pictures, ids, strict=True):
-        used = set(re.findall(r'(?:href="#|url\(#)([^")]+)', svg))
-        assert used
-        assert used | {f"{next(iter(own)).partition('-')[0]}-{end}" for end in ("title", "text")} == own
-
-
-def test_it_needs_no_style_takes_the_page_s_ink_and_is_told_to_those_who_cannot_see_it() -> None:
-    svg = inline_svg(labelled("a"), "a", "A title", "1.5 µm & more")
-    assert [part for part in ("style=", "<style", canvas.INK) if part in svg] == []
-    assert [part for part in ("currentColor", 'font-size="8.5"') if part not in svg] == []
-    root = Xml.fromstring(svg)
-    assert root.get("role") == "img"
-    told = {element.get("id"): element.text for element in root if element.get("id")}
-    assert told[root.get("aria-labelledby")] == "A title"
-    assert told[root.get("aria-describedby")] == "1.5 µm & more"
+def test_every_reference_has_an_id_of_the_picture_s_own() -> None:
+    """Which a page's pictures do not share: test_report.py."""
+    svg = inline_svg(labelled("same"), "first", "", "")
+    used = set(re.findall(r'(?:href="#|url\(#)([^")]+)', svg))
+    assert used
+    assert used | {"first-title", "first-text"} == set(re.findall(r'\bid="([^"]+)"', svg))
 
 
 @pytest.mark.parametrize("page", ["#ffffff", "#15181d"])

@@ -1,17 +1,75 @@
-"""Tasks on processes of this machine, some of which die."""
+"""Tasks on processes of this machine or on the workers of a Dask scheduler on loopback, some of which die."""
 
+import json
 import multiprocessing
 import os
 import signal
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
+import fleet_tasks
 import pool_tasks
 import pytest
+from live import config
 
+from hd_diag.fleet import FleetError, cluster
+from hd_diag.fleet.cluster import ClusterPool
+from hd_diag.fleet.journal import Journal
+from hd_diag.fleet.run import Fleet, diagnose_fleet, find_bags
 from hd_diag.process_pool import ATTEMPTS, Failure, ProcessPool, run
+
+LATE = Failure("took longer than 1 s")
+
+
+class Workers:
+    """Processes of this machine; what they note goes into `calls`."""
+
+    def __init__(self, calls: Path) -> None:
+        self.calls = calls
+
+    def pool(self, jobs: int = 2) -> ProcessPool | ClusterPool:
+        return ProcessPool(jobs)
+
+    def renewed(self) -> None:
+        """A worker comes for one that has gone: here the pool sees to it."""
+
+    def begun(self) -> list[tuple[str, int]]:
+        return pool_tasks.calls(self.calls)
+
+
+class Cluster(Workers):
+    """A scheduler and workers, each a process of its own."""
+
+    def __init__(self, stack: ExitStack, calls: Path, workers: int) -> None:
+        super().__init__(calls)
+        self._stack, self._folder = stack, calls.parent
+        self._file = self._folder / "scheduler.json"
+        self.scheduler = self._start("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file")
+        for _ in range(workers):
+            self.renewed()
+
+    def pool(self, jobs: int = 3) -> ClusterPool:
+        pool_tasks.wait_for(lambda: self._file.exists() and self._file.read_text().endswith("}"))
+        return ClusterPool(str(json.loads(self._file.read_text())["address"]))
+
+    def renewed(self) -> None:
+        """Without a nanny: who is killed stays dead."""
+        local = ("--local-directory", str(self._folder), "--host", "127.0.0.1")
+        self._start("worker", "--nthreads", "1", "--no-nanny", *local, "--scheduler-file")
+
+    def _start(self, role: str, *arguments: str) -> subprocess.Popen[bytes]:
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+        command = [sys.executable, "-m", f"distributed.cli.dask_{role}", "--no-dashboard", *arguments]
+        process = subprocess.Popen(
+            [*command, str(self._file)], env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+        self._stack.enter_context(process)
+        self._stack.callback(process.kill)
+        return process
 
 
 @pytest.fixture
@@ -20,6 +78,75 @@ def noted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder.mkdir()
     monkeypatch.setenv(pool_tasks.CALLS, str(folder))
     return folder
+
+
+@pytest.fixture
+def dask(noted: Path, request: pytest.FixtureRequest) -> Iterator[Cluster]:
+    pytest.importorskip("distributed")
+    with ExitStack() as stack:
+        yield Cluster(stack, noted, getattr(request, "param", 3))
+
+
+@pytest.fixture(params=["processes", pytest.param("cluster", marks=pytest.mark.slow)])
+def workers(request: pytest.FixtureRequest, noted: Path) -> Workers:
+    return request.getfixturevalue("dask") if request.param == "cluster" else Workers(noted)
+
+
+# Both ---
+
+
+def test_what_kills_its_worker_fails_alone(workers: Workers) -> None:
+    """Whatever a scheduler is set to."""
+    renewed = 0
+
+    def tick() -> None:
+        nonlocal renewed
+        while sum(name == "7" for name, _ in workers.begun()) > renewed:
+            renewed += 1
+            workers.renewed()
+
+    with workers.pool() as pool:
+        results = dict(run(pool, pool_tasks.deadly_seven, range(12), tick))
+    failure = results.pop(7)
+    assert results == {n: n * n for n in range(12) if n != 7}
+    assert isinstance(failure, Failure)
+    assert failure.text.startswith(f"its worker died in each of {ATTEMPTS} attempts")
+    begun = Counter(name for name, _ in workers.begun())
+    assert begun == {str(n): ATTEMPTS if n == 7 else 1 for n in range(12)}
+
+
+def test_a_worker_that_is_killed_loses_nothing(workers: Workers) -> None:
+    killed: list[int] = []
+
+    def tick() -> None:
+        begun = workers.begun()
+        if len(begun) >= 5 and not killed:
+            killed.append(begun[-1][1])
+            os.kill(killed[0], signal.SIGKILL)
+
+    with workers.pool() as pool:
+        results = sorted(run(pool, pool_tasks.slow_square, range(12), tick))
+    assert results == [(n, n * n) for n in range(12)]
+    begun = workers.begun()
+    (again,) = (name for name, times in Counter(name for name, _ in begun).items() if times > 1)
+    first, second = (process for name, process in begun if name == again)
+    assert (first, second != first) == (killed[0], True)
+
+
+def test_what_hangs_ends_its_worker_once_and_the_others_go_on(workers: Workers) -> None:
+    """The time is that of each item, not of the worker: the others together take longer."""
+    names = ["a", "fifo", "b", "pattern", "c", "d"]
+    with workers.pool(jobs=1) as pool:
+        results = dict(run(pool, pool_tasks.stuck, names, timeout=1.0))
+    assert results == {0: "a", 1: LATE, 2: "b", 3: LATE, 4: "c", 5: "d"}
+    begun = workers.begun()
+    assert sorted(name for name, _ in begun) == sorted(names)
+    if not isinstance(workers, Cluster):  # one after the other, and a process for each that was killed
+        assert [name for name, _ in begun] == names
+        assert len({process for _, process in begun}) == 3
+
+
+# Processes ---
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -35,45 +162,6 @@ def test_nothing_to_do_starts_no_process() -> None:
     with ProcessPool(2) as pool:
         assert list(run(pool, pool_tasks.square, [])) == []
         assert not set(multiprocessing.active_children()) - before
-
-
-def test_what_kills_its_worker_fails_alone(noted: Path) -> None:
-    with ProcessPool(2) as pool:
-        results = dict(run(pool, pool_tasks.deadly_seven, range(12)))
-    assert {n: r for n, r in results.items() if n != 7} == {n: n * n for n in range(12) if n != 7}
-    failure = results[7]
-    assert isinstance(failure, Failure)
-    assert failure.text.startswith(f"its worker died in each of {ATTEMPTS} attempts")
-    begun = Counter(name for name, _ in pool_tasks.calls(noted))
-    assert begun == {str(n): ATTEMPTS if n == 7 else 1 for n in range(12)}
-
-
-def test_a_worker_that_is_killed_loses_nothing(noted: Path) -> None:
-    killed: list[int] = []
-
-    def tick() -> None:
-        begun = pool_tasks.calls(noted)
-        if len(begun) >= 3 and not killed:
-            killed.append(begun[-1][1])
-            os.kill(killed[0], signal.SIGKILL)
-
-    with ProcessPool(2) as pool:
-        results = sorted(run(pool, pool_tasks.slow_square, range(6), tick))
-    assert results == [(n, n * n) for n in range(6)]
-    assert len(killed) == 1
-    assert len(pool_tasks.calls(noted)) == 7
-
-
-def test_what_hangs_ends_its_worker_once_and_the_others_go_on(noted: Path) -> None:
-    """The time is that of each item, not of the worker: the others together take longer."""
-    names = ["a", "fifo", "b", "pattern", "c", "d"]
-    with ProcessPool(1) as pool:
-        results = dict(run(pool, pool_tasks.stuck, names, timeout=1.0))
-    late = Failure("took longer than 1 s")
-    assert results == {0: "a", 1: late, 2: "b", 3: late, 4: "c", 5: "d"}
-    begun = pool_tasks.calls(noted)
-    assert [name for name, _ in begun] == names
-    assert len({process for _, process in begun}) == 3
 
 
 def test_what_raises_is_a_failure_even_where_it_cannot_be_sent() -> None:
@@ -125,3 +213,47 @@ def test_workers_of_a_killed_parent_end(noted: Path) -> None:
         parent.kill()
     worker = pool_tasks.calls(noted)[0][1]
     pool_tasks.wait_for(lambda: not pool_tasks.alive(worker))
+
+
+# Cluster ---
+
+
+@pytest.mark.parametrize("dask", [1], indirect=True)
+def test_the_cluster_makes_the_same_rows(
+    dask: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From paths alone, though it is in another folder; and what raises is a failure of its own."""
+    monkeypatch.setattr("hd_diag.fleet.run.judge", fleet_tasks.quick)
+    (tmp_path / "bags").mkdir()
+    monkeypatch.chdir(tmp_path)
+    for day in range(5):
+        fleet_tasks.small_bag(Path("bags") / f"{day}.mcap", day)
+    given = config()
+    fleet = Fleet(find_bags([Path("bags")]), given, given.joints)
+    with pool_tasks.PoolHere() as local, Journal(tmp_path / "local") as journal:
+        expected = diagnose_fleet(fleet, local, journal)
+    with dask.pool() as pool, Journal(tmp_path / "cluster") as journal:
+        assert diagnose_fleet(fleet, pool, journal) == expected
+        assert dict(run(pool, pool_tasks.faulty, [1, 3])) == {0: 1, 1: Failure("Unsendable: 3: no")}
+    assert len(expected) == 5
+    assert len(dask.begun()) == 10
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_goes_ends_the_run(dask: Cluster) -> None:
+    def tick() -> None:
+        if len(dask.begun()) >= 2:
+            dask.scheduler.kill()
+
+    with pytest.raises(FleetError, match="is gone"), dask.pool() as pool:
+        list(run(pool, pool_tasks.slow_square, range(50), tick))
+
+
+def test_no_scheduler(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(cluster, "_CONNECT", 1.0)
+    with pytest.raises(FleetError, match=r"no Dask scheduler at tcp://127\.0\.0\.1:9"):
+        ClusterPool("tcp://127.0.0.1:9")
+    for none in ("nonsense://x", "host", "http://x:1", "tls://127.0.0.1:1", "ucx://x:1", "inproc://"):
+        with pytest.raises(FleetError, match=rf"no Dask scheduler at {none}: .*like tcp://host:8786"):
+            ClusterPool(none)

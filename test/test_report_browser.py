@@ -12,10 +12,10 @@ from report_samples import configured, hostile_page
 
 from hd_diag.diagnosis.gain import Rms
 from hd_diag.formatting import ARCSEC
-from hd_diag.report.ladder import Rung
 from hd_diag.report.pictures.comparison import model_ladder
 from hd_diag.report.pictures.markup import inline_svg
 from hd_diag.report.pictures.teeth import tooth_maps
+from hd_diag.report.stages import Rung
 from hd_diag.report.teeth import teeth_over_turn
 
 

@@ -25,8 +25,7 @@ from hd_diag.diagnosis.ripple import verdict as ripple_verdict
 from hd_diag.diagnosis.verdict import as_json, summary
 from hd_diag.effects.order_line import ORDER_LINE
 from hd_diag.formatting import json_ready
-from hd_diag.report.facts import of_diagnosis, of_motion
-from hd_diag.report.sources import digests
+from hd_diag.report.facts import digests, of_diagnosis, of_motion
 
 
 @on_records

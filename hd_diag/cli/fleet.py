@@ -22,17 +22,15 @@ from hd_diag.cli.targets import Problem, write_json, writing
 from hd_diag.config.catalogue import load
 from hd_diag.config.configuration import JointConfig
 from hd_diag.fleet import FleetError
-from hd_diag.fleet.bag_pages import BagPages
 from hd_diag.fleet.cluster import ClusterPool
 from hd_diag.fleet.health_page import health_page
-from hd_diag.fleet.journal import JOURNAL_SUFFIX, Journal
+from hd_diag.fleet.journal import JOURNAL_SUFFIX, BagPages, Journal
 from hd_diag.fleet.rows import PAGE
-from hd_diag.fleet.run import Fleet, Progress, diagnose_fleet
+from hd_diag.fleet.run import Fleet, Progress, diagnose_fleet, find_bags
 from hd_diag.fleet.series import ECCENTRICITY, ERROR, NOMINAL, REFIT, RIPPLE, series_of
 from hd_diag.fleet.standing import Health, health, limits_of
 from hd_diag.fleet.summary import as_json, attention_lines, headline, notes, sentences, table
-from hd_diag.fleet.survey import find_bags
-from hd_diag.fleet.trend import CHANGED, trends
+from hd_diag.fleet.trend import trends
 from hd_diag.model.threads import cores
 from hd_diag.process_pool import ProcessPool
 from hd_diag.report.facts import Fact
@@ -207,6 +205,6 @@ def _code(found: Health, given: dict[str, Any]) -> int:
         tell("hd-diag: no bag could be judged", err=True)
         return 2
     caused = any(row.get("causes") or row.get("unexplained_orders") for row in found.rows)
-    changed = any(trend.form in CHANGED for trend in found.trends)
+    changed = any(trend.changed for trend in found.trends)
     failed = given["fail_on"] is not None and found.fails(given["fail_on"])
     return int((given["fail_on_cause"] and caused) or (given["fail_on_change"] and changed) or failed)

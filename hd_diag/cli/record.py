@@ -27,9 +27,8 @@ from hd_diag.diagnosis.work import Work
 from hd_diag.effects import Catalogue
 from hd_diag.records.joint_record import InputRecord, nothing, read_bags, read_motion
 from hd_diag.records.tables import Table, read_table_motion, read_tables
-from hd_diag.report.facts import JointReport
-from hd_diag.report.sources import sources
-from hd_diag.tolerance.severity import with_allowed
+from hd_diag.report.facts import JointReport, sources
+from hd_diag.tolerance.study import with_allowed
 
 _TABLES = (".csv", ".tsv", ".txt")
 

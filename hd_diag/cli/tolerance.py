@@ -22,9 +22,8 @@ from hd_diag.model.threads import cores
 from hd_diag.process_pool import ProcessPool
 from hd_diag.tolerance import limit
 from hd_diag.tolerance.assembly import FACTORS
-from hd_diag.tolerance.criteria import CRITERIA
-from hd_diag.tolerance.document import document, yielded
-from hd_diag.tolerance.study import Question, Study, limits_and_spreads, study
+from hd_diag.tolerance.evaluation import CRITERIA
+from hd_diag.tolerance.study import Question, Study, document, limits_and_spreads, study, yielded
 
 
 def tolerance(

@@ -5,11 +5,11 @@ from __future__ import annotations
 import logging
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from hd_diag.fleet import FleetError
-from hd_diag.process_pool import Failure, guarded
+from hd_diag.process_pool import Failure
 
 # How long to wait [s]
 _CONNECT = 10.0  # for the scheduler
@@ -37,41 +37,45 @@ class ClusterPool:
         except Exception as error:  # of an address that is none it raises several kinds, some without words
             wanted = "an address is like tcp://host:8786"
             raise FleetError(f"no Dask scheduler at {address}: {error}; {wanted}") from error
-        self._at_work: dict[Any, tuple[str, int]] = {}
         self._seen = time.monotonic()
 
-    def idle(self) -> list[str]:
-        """Workers without a task of this run."""
-        taken = {worker for worker, _ in self._at_work.values()}
-        return [worker for worker in self._workers() if worker not in taken]
+    def workers(self) -> list[str]:
+        """Addresses of those that are there."""
+        try:
+            workers = list(self._client.nthreads())
+        except (OSError, TimeoutError, ValueError, RuntimeError) as error:
+            raise self._gone() from error
+        now = time.monotonic()
+        self._seen = now if workers else self._seen
+        if now - self._seen > _WORKERS:
+            raise FleetError(f"the scheduler at {self._address} has had no worker for {_WORKERS:.0f} s")
+        return workers
 
-    def send(self, worker: str, number: int, function: Callable[[Any], Any], item: Any) -> None:
+    def send(self, worker: str, function: Callable[[Any], Any], item: Any) -> Any:
         """Give a worker a task."""
         key = f"hd_diag-{uuid.uuid4()}"
-        future = self._client.submit(guarded, function, item, workers=[worker], key=key, pure=False)
-        self._at_work[future] = worker, number
+        return self._client.submit(function, item, workers=[worker], key=key, pure=False)
 
-    def done(self, patience: float) -> list[tuple[int, Any]]:
-        """Numbers and outcomes of tasks that have ended."""
-        if not self._at_work:
+    def done(self, at_work: Mapping[Any, str], patience: float) -> list[tuple[Any, Any]]:
+        """Tasks that have ended, with their outcomes."""
+        if not at_work:
             time.sleep(patience)
             return []
-        self._await(patience)
-        workers = self._workers()
+        self._await(list(at_work), patience)
+        workers = self.workers()
         outcomes = []
-        for future, (worker, number) in list(self._at_work.items()):
+        for future, worker in at_work.items():
             outcome = self._outcome(future, worker, worker in workers)
             if outcome is not None:
-                del self._at_work[future]
                 future.cancel()
-                outcomes.append((number, outcome))
+                outcomes.append((future, outcome))
         return outcomes
 
-    def _await(self, patience: float) -> None:
+    def _await(self, futures: list[Any], patience: float) -> None:
         from distributed import wait
 
         try:
-            wait(list(self._at_work), timeout=patience, return_when="FIRST_COMPLETED")
+            wait(futures, timeout=patience, return_when="FIRST_COMPLETED")
         except TimeoutError:
             return
         except Exception as error:
@@ -96,17 +100,6 @@ class ClusterPool:
             return gone if isinstance(raised, KilledWorker) else Failure(f"{type(raised).__name__}: {raised}")
         return gone if future.status in ("cancelled", "lost") or not alive else None
 
-    def _workers(self) -> list[str]:
-        try:
-            workers = list(self._client.nthreads())
-        except (OSError, TimeoutError, ValueError, RuntimeError) as error:
-            raise self._gone() from error
-        now = time.monotonic()
-        self._seen = now if workers else self._seen
-        if now - self._seen > _WORKERS:
-            raise FleetError(f"the scheduler at {self._address} has had no worker for {_WORKERS:.0f} s")
-        return workers
-
     def _gone(self) -> FleetError:
         return FleetError(f"the scheduler at {self._address} is gone")
 
@@ -114,6 +107,4 @@ class ClusterPool:
         return self
 
     def __exit__(self, *reason: object) -> None:
-        for future in self._at_work:
-            future.cancel()
-        self._client.close(timeout=_GATHER)
+        self._client.close(timeout=_GATHER)  # and with it the tasks that are still being done

@@ -1,17 +1,22 @@
-"""Results on disk as they come: what a crash or Ctrl-C interrupts is gone on with by the next run."""
+"""What a run keeps as it comes: results, with which an interrupted run goes on, and pages of joints."""
 
 from __future__ import annotations
 
 import fcntl
 import json
 import os
+import re
+from collections.abc import Iterable
 from pathlib import Path
 from zlib import crc32
 
 from hd_diag.fleet import FleetError
-from hd_diag.fleet.rows import Row
+from hd_diag.fleet.rows import Row, Task
+from hd_diag.whole_file import whole_file
 
 JOURNAL_SUFFIX = ".journal.jsonl"
+
+_PAGE_NAME = re.compile(r"[\w.-]+_[0-9a-f]{16}\.html", re.ASCII)
 
 
 class Journal:
@@ -38,14 +43,16 @@ class Journal:
         self._file.seek(0)
         content = self._file.read()
         lines = [line for line in content.split(b"\n") if line]
-        entries = [entry for entry in map(_entry, lines) if entry]
-        self.results, self.lost = dict(entries), len(lines) - len(entries)
+        texts = [(line, line[: max(line.rfind(b", "), 0)]) for line in lines]
+        entries = [json.loads(line) for line, text in texts if line == text + _checksum(text)]
+        self.results: dict[str, Row] = {entry["key"]: entry["row"] for entry in entries}
+        self.lost = len(lines) - len(entries)
         self._cut = bool(content) and not content.endswith(b"\n")
 
     def add(self, key: str, row: Row) -> None:
         """Keep a result for good."""
-        text = json.dumps({"key": key, "row": row}, allow_nan=False).encode()
-        rest = b"\n" * self._cut + text[:-1] + _checksum(text[:-1]) + b"\n"
+        text = json.dumps({"key": key, "row": row}, allow_nan=False).encode()[:-1]
+        rest = b"\n" * self._cut + text + _checksum(text) + b"\n"
         self._cut = True
         try:
             while rest:
@@ -68,10 +75,34 @@ def _checksum(text: bytes) -> bytes:
     return b', "crc32": %d}' % crc32(text)
 
 
-def _entry(line: bytes) -> tuple[str, Row] | None:
-    """Key and row of a line that is as it was written."""
-    text = line[: max(line.rfind(b", "), 0)]
-    if line != text + _checksum(text):
-        return None
-    entry = json.loads(line)
-    return entry["key"], entry["row"]
+class BagPages:
+    """Pages of single recordings, in the folder ``<name>_joints`` beside the fleet's page ``<name>.html``."""
+
+    def __init__(self, report: Path) -> None:
+        self.folder = report.with_name(f"{report.stem}_joints")
+
+    def place(self, task: Task) -> Path:
+        """Where a task's page is, or will be; named by joint and key."""
+        return self.folder / f"{re.sub(r'[^A-Za-z0-9.-]', '_', task.joint.name)}_{task.key[:16]}.html"
+
+    def link(self, task: Task) -> str | None:
+        """Its path from the fleet's page; None where there is none."""
+        place = self.place(task)
+        return f"{self.folder.name}/{place.name}" if place.exists() else None
+
+    def write(self, task: Task, html: str) -> None:
+        """Keep a page; one that is there is whole. FleetError where it cannot be written."""
+        place = self.place(task)
+        try:
+            self.folder.mkdir(exist_ok=True)
+            with whole_file(place) as draft:
+                draft.write_text(html, encoding="utf-8")
+        except OSError as error:
+            raise FleetError(f"{place}: cannot be written: {error.strerror or error}") from error
+
+    def keep(self, links: Iterable[str | None]) -> None:
+        """Delete the pages of this folder that the fleet's page does not link to any more."""
+        kept = {Path(link).name for link in links if link}
+        for path in self.folder.iterdir() if self.folder.is_dir() else ():
+            if _PAGE_NAME.fullmatch(path.name) and path.name not in kept:
+                path.unlink(missing_ok=True)

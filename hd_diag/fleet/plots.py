@@ -14,9 +14,7 @@ from matplotlib.figure import Figure
 from hd_diag.fleet.trend import Trend
 from hd_diag.formatting import SCALES, words
 
-MOST = 24
-"""Panels in a picture; of more series those with the clearest changes are drawn."""
-
+MOST = 24  # panels; of more series those with the clearest changes are drawn
 _COLUMNS = 3
 _PANEL = (4.6, 2.6)  # [inch]
 _LIMIT_NEAR = 3.0  # times the largest value; a limit farther off would press the series flat
@@ -25,7 +23,7 @@ _LIMIT_NEAR = 3.0  # times the largest value; a limit farther off would press th
 def draw(trends: Sequence[Trend], path: Path) -> None:
     """Draw the series, the clearest changes first; raises OSError where the file cannot be written."""
     there = [trend for trend in trends if trend.series.value.size]
-    shown = sorted(there, key=_clearness)[:MOST]
+    shown = sorted(there, key=lambda trend: np.nanmin([trend.step_q, trend.drift_q, 2.0]))[:MOST]
     lines = max(-(-len(shown) // _COLUMNS), 1)
     figure = Figure(figsize=(_COLUMNS * _PANEL[0], lines * _PANEL[1] + 0.4), layout="constrained")
     for place, trend in enumerate(shown, start=1):
@@ -35,29 +33,11 @@ def draw(trends: Sequence[Trend], path: Path) -> None:
     figure.savefig(path, dpi=120)
 
 
-def _clearness(trend: Trend) -> float:
-    """Corrected p-value of the clearer change; 2 where nothing could be tested."""
-    known = [q for q in (trend.step_q, trend.drift_q) if np.isfinite(q)]
-    return min(known, default=2.0)
-
-
 def _panel(axes: Axes, trend: Trend) -> None:
+    """A series with its drift, or its steps and the intervals of their places."""
     series, (scale, unit) = trend.series, SCALES[trend.series.unit]
     spread = np.where(np.isfinite(series.std), series.std, 0.0) / scale
     axes.errorbar(_dates(series.time), series.value / scale, spread, fmt=".", color="C0", elinewidth=0.8)
-    _fit(axes, trend, scale)
-    if series.limit <= _LIMIT_NEAR * series.value.max():
-        axes.axhline(series.limit / scale, color="C3", linestyle=":")
-    name = f"{series.robot} {series.joint}".strip()
-    axes.set_title(f"{name}: {words(series.quantity)}: {trend.form}", fontsize="small", parse_math=False)
-    axes.set_ylabel(f"[{unit}]")
-    locator = AutoDateLocator(minticks=2, maxticks=6)
-    axes.xaxis.set_major_locator(locator)
-    axes.xaxis.set_major_formatter(ConciseDateFormatter(locator))
-
-
-def _fit(axes: Axes, trend: Trend, scale: float) -> None:
-    series = trend.series
     if trend.form == "drift":
         ends = series.time[[0, -1]]
         values = trend.line.intercept + trend.line.slope * (ends - series.time[0])
@@ -67,8 +47,16 @@ def _fit(axes: Axes, trend: Trend, scale: float) -> None:
         for rows in np.split(np.arange(series.time.size), edges):
             mean = np.average(series.value[rows], weights=trend.weights[rows])
             axes.plot(_dates(series.time[rows[[0, -1]]]), np.full(2, mean / scale), color="C1")
-        for change in trend.changes:
-            axes.axvspan(*_dates(np.array([change.low, change.high])), color="C1", alpha=0.15)
+    for change in trend.changes:
+        axes.axvspan(*_dates(np.array([change.low, change.high])), color="C1", alpha=0.15)
+    if series.limit <= _LIMIT_NEAR * series.value.max():
+        axes.axhline(series.limit / scale, color="C3", linestyle=":")
+    name = f"{series.robot} {series.joint}".strip()
+    axes.set_title(f"{name}: {words(series.quantity)}: {trend.form}", fontsize="small", parse_math=False)
+    axes.set_ylabel(f"[{unit}]")
+    locator = AutoDateLocator(minticks=2, maxticks=6)
+    axes.xaxis.set_major_locator(locator)
+    axes.xaxis.set_major_formatter(ConciseDateFormatter(locator))
 
 
 def _dates(time: npt.NDArray[np.float64]) -> npt.NDArray[np.datetime64]:

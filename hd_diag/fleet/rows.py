@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,26 +14,24 @@ import numpy as np
 from hd_diag import __version__
 from hd_diag.bag import BagError
 from hd_diag.config.catalogue import load
-from hd_diag.config.configuration import Config, JointConfig
-from hd_diag.config.parameters import JOINT_PARAMETERS, Value
+from hd_diag.config.configuration import JointConfig
+from hd_diag.config.parameters import Value
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.diagnosis.judgement import Answer
 from hd_diag.diagnosis.record import RecordError
-from hd_diag.diagnosis.ripple.ripple import Ripple, ripple
+from hd_diag.diagnosis.ripple.ripple import ripple
 from hd_diag.diagnosis.ripple.verdict import sentence as ripple_sentence
 from hd_diag.diagnosis.screening import screened
 from hd_diag.diagnosis.search.causes import Cause
 from hd_diag.diagnosis.verdict import as_json
 from hd_diag.effects import CATALOGUE
-from hd_diag.fleet.survey import Survey
 from hd_diag.formatting import json_ready
-from hd_diag.records.joint_record import InputRecord, read_bags, read_motion
+from hd_diag.records.joint_record import read_bags, read_motion
 from hd_diag.replay.versions import running
 from hd_diag.report.advice import cards
-from hd_diag.report.facts import JointReport, of_diagnosis, of_motion
-from hd_diag.report.sources import sources
-from hd_diag.tolerance.severity import with_allowed
+from hd_diag.report.facts import JointReport, of_diagnosis, of_motion, sources
+from hd_diag.tolerance.study import with_allowed
 
 SCHEMA = "hd_diag/fleet/1"
 
@@ -86,35 +83,6 @@ class Task:
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
-def tasks(seen: Survey, config: Config, joints: tuple[JointConfig, ...]) -> list[Task]:
-    """The joints of a configuration of which a bag holds an angle."""
-    return [
-        Task(
-            seen.path,
-            joint,
-            {name: value for name, value in config.flat.items() if name.startswith(f"{joint.name}.")},
-            seen.digest,
-            config_digest(config, joint),
-            seen.messages,
-        )
-        for joint in joints
-        if seen.names & {joint.input_joint, joint.output_joint} or _has_mapped(seen, joint)
-    ]
-
-
-def _has_mapped(seen: Survey, joint: JointConfig) -> bool:
-    """Whether a bag has a topic to which a signal of a joint is mapped."""
-    wanted = tuple(f"/{signal.topic.lstrip('/')}" for signal in joint.mapped.values() if signal.topic)
-    return any(topic.endswith(wanted) for topic in seen.topics)
-
-
-def config_digest(config: Config, joint: JointConfig) -> str:
-    """SHA-256 of a joint's parameters that a diagnosis uses: neither limits nor the model file."""
-    names = (p.name for p in JOINT_PARAMETERS if not p.name.startswith("limits.") and p.name != "model_file")
-    own = {name: config.flat[f"{joint.name}.{name}"] for name in names}
-    return hashlib.sha256(json.dumps(own, sort_keys=True).encode()).hexdigest()
-
-
 def judge(task: Task) -> Row:
     """The part of a row that a bag's contents, joint and version determine: a diagnosis, or an ``error``.
 
@@ -153,36 +121,35 @@ def _not_judged(task: Task, reason: str) -> Row:
         found = ripple(*columns, task.joint.configured.kinematics)
     except RecordError:
         found = None
-    row = _refused(motion.stamps.reported) | (_rippled(motion, found) if found else {"error": reason})
+    row: Row = {"error": reason}
+    if found:
+        row = {
+            "duration_s": float(motion.time[-1] - motion.time[0]),
+            "samples": motion.time.size,
+            "runs": found.runs,
+            "input_turns": found.turns,
+            "ripple_orders": [line.order for line in found.lines],
+            "ripple_reverses": [line.reverses for line in found.lines],
+            "ripple_found": [line.found for line in found.lines],
+            "ripple_amplitudes_Nm": [line.amplitude for line in found.lines],
+            "ripple_stds_Nm": [line.std for line in found.lines],
+            "verdict": ripple_sentence(found),
+        }
+    row |= {name: motion.stamps.reported[name] for name in ("refused", "last_refusal")}
     if task.drawn:
         row[PAGE] = _page(task, of_motion(motion, task.joint, task.flat, reason, found))
     return row
 
 
-def _rippled(motion: InputRecord, found: Ripple) -> Row:
-    return {
-        "duration_s": float(motion.time[-1] - motion.time[0]),
-        "samples": motion.time.size,
-        "runs": found.runs,
-        "input_turns": found.turns,
-        "ripple_orders": [line.order for line in found.lines],
-        **{f"ripple_{name}": [getattr(line, name) for line in found.lines] for name in ("reverses", "found")},
-        "ripple_amplitudes_Nm": [line.amplitude for line in found.lines],
-        "ripple_stds_Nm": [line.std for line in found.lines],
-        "verdict": ripple_sentence(found),
-    }
-
-
 def judged(found: Diagnosis, joint: str) -> Row:
     """Columns of a diagnosis: the content of `hd-diag diagnose --json`, flat, with amplitudes' deviations."""
     report = as_json(found, joint)
-    record, gain, noise = report["record"], report["gain"], report["noise_floor"]
-    fitted = report["refit"]["parameters"]
+    record, gain, noise, refit = (report[part] for part in ("record", "gain", "noise_floor", "refit"))
     stds = [amplitude_std(found.found.fit, cause) for cause in found.causes] if found.found else []
+    causes, lines = report["causes"], report["unexplained"]
     tested = [test for test in report["testability"] if test["testable"]]
-    lines = report["unexplained"]
     normal, tolerance = report["normal"] or {}, report["tolerance"] or {}
-    return {
+    row = {
         "judgement": report["judgement"],
         "accuracy_rad": found.configured.accuracy,
         "error_rad": normal.get("measured"),
@@ -191,17 +158,12 @@ def judged(found: Diagnosis, joint: str) -> Row:
         "eccentricity_criterion": tolerance.get("criterion"),
         "inspect": [f"{card.title}: {card.inspect}" for card in cards(Answer(found)) if card.inspect],
         "duration_s": record["duration"],
-        **{name: record[name] for name in ("samples", "runs", "input_turns")},
-        **_refused(record),
-        **{
-            column.format(end): fitted[name][key]
-            for name, (column, *_) in FITTED.items()
-            if name in fitted
-            for end, key in (("", "value"), ("_std", "std"))
-        },
-        "trustworthy": report["refit"]["trustworthy"],
-        **_causes(report["causes"]),
-        "cause_amplitude_stds_rad": json_ready([math.nan] * (len(report["causes"]) - len(stds)) + stds),
+        **{name: record[name] for name in ("samples", "runs", "input_turns", "refused", "last_refusal")},
+        "trustworthy": refit["trustworthy"],
+        "causes": [cause["name"] for cause in causes],
+        "cause_classes": [cause["class"] for cause in causes],
+        "cause_amplitudes_rad": [cause["amplitude"] for cause in causes],
+        "cause_amplitude_stds_rad": json_ready([math.nan] * (len(causes) - len(stds)) + stds),
         "tested": [test["name"] for test in tested],
         "tested_least_rad": [test["least_size"] for test in tested],
         **{f"{name}_rad": gain[name] for name in ("rms_nominal", "rms_refit", "rms_extended")},
@@ -215,23 +177,15 @@ def judged(found: Diagnosis, joint: str) -> Row:
         "findings": [finding["text"] for finding in report["findings"]],
         "verdict": report["verdict"],
     }
-
-
-def _refused(record: Mapping[str, Any]) -> Row:
-    return {name: record[name] for name in ("refused", "last_refusal")}
-
-
-def _causes(causes: list[dict[str, Any]]) -> Row:
-    row: Row = {
-        "causes": [cause["name"] for cause in causes],
-        "cause_classes": [cause["class"] for cause in causes],
-        "cause_amplitudes_rad": [cause["amplitude"] for cause in causes],
-    }
+    for name, (column, *_) in FITTED.items():
+        if name in refit["parameters"]:
+            fitted = refit["parameters"][name]
+            row |= {column.format(""): fitted["value"], column.format("_std"): fitted["std"]}
     if causes:
-        first = causes[0]
+        first, of_first = causes[0], causes[0]["gain"]
         row |= {"cause": first["name"], "cause_amplitude_rad": first["amplitude"]}
-        row |= {"cause_gain": first["gain"]["value"], "cause_p_value": first["p_value"]}
-        row |= {"cause_gain_low": first["gain"]["low"], "cause_gain_high": first["gain"]["high"]}
+        row |= {"cause_gain": of_first["value"], "cause_p_value": first["p_value"]}
+        row |= {"cause_gain_low": of_first["low"], "cause_gain_high": of_first["high"]}
     return row
 
 

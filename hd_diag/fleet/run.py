@@ -1,25 +1,28 @@
-"""A run over many bags: look at each, diagnose what is not known yet, put the rows together."""
+"""A run over many bags: find them, look at each, diagnose what is not known yet, put the rows together."""
 
 from __future__ import annotations
 
 import functools
+import hashlib
+import json
 import os
 import re
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from hd_diag.bag import BagError, BagReader
 from hd_diag.config.configuration import Config, JointConfig
-from hd_diag.config.parameters import shown
+from hd_diag.config.parameters import JOINT_PARAMETERS, shown
 from hd_diag.fleet import FleetError
-from hd_diag.fleet.bag_pages import BagPages
-from hd_diag.fleet.journal import Journal
-from hd_diag.fleet.rows import PAGE, Row, Task, judge, tasks
-from hd_diag.fleet.survey import Survey, survey
+from hd_diag.fleet.journal import BagPages, Journal
+from hd_diag.fleet.rows import PAGE, Row, Task, judge
 from hd_diag.formatting import listed
 from hd_diag.process_pool import Failure, Pool, run
-from hd_diag.replay.versions import running
+from hd_diag.records.joint_topics import joint_state_topics, joints_in
+from hd_diag.replay.versions import Versions, running
+from hd_diag.report.facts import sha256
 
 Progress = Callable[[str, int, int, int], None]
 """Called with the stage, how much of it is done, how much it has, and how many tasks are done."""
@@ -28,14 +31,37 @@ _Outcomes = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[tuple[int, 
 """`hd_diag.process_pool.run` of a function and items."""
 
 _NAMES_SHOWN = 8
+_SUFFIXES = (".mcap", ".db3")
+# Parameters that a diagnosis uses: neither limits nor the model file.
+_USED = [p.name for p in JOINT_PARAMETERS if not p.name.startswith("limits.") and p.name != "model_file"]
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What was seen of one bag; where it has an `error`, nothing else is known but its problems.
+
+    The digest of its contents; first log time [ns since 1970], None for an empty bag; how many messages and
+    which names its joint states have, where it has any; what is unfinished about its files; versions of the
+    worker that looked; topics; time from the first to the last message [s].
+    """
+
+    path: str
+    digest: str = ""
+    start: int | None = None
+    messages: int = 0
+    names: frozenset[str] = frozenset()
+    problems: tuple[str, ...] = ()
+    error: str = ""
+    versions: Versions = field(default_factory=running)
+    topics: frozenset[str] = frozenset()
+    duration: float = 0.0
 
 
 @dataclass(frozen=True)
 class Fleet:
-    """Which bags, which joints, and how robots are told apart.
+    """Which bags, which of the configuration's joints, and how robots are told apart.
 
-    The joints are those of the configuration that are wanted; the pattern's first group (or the whole match)
-    in a bag's path names the robot, None = one robot.
+    The pattern's first group (or the whole match) in a bag's path names the robot, None = one robot.
     """
 
     bags: Sequence[Path]
@@ -51,6 +77,67 @@ class Fleet:
         if match is None:
             raise FleetError(f"{shown(str(bag))}: --robot {self.robot.pattern} matches nothing in its path")
         return "".join(c for c in (match[1] if self.robot.groups else match[0]) or "" if c.isprintable())
+
+
+def find_bags(given: Iterable[Path]) -> list[Path]:
+    """Bags among files and folders, each once, in the order of their names within each folder.
+
+    A folder with a ``metadata.yaml`` is one bag; in other folders, at any depth, every ``.mcap`` and ``.db3``
+    file is one. A folder that cannot be listed is among the results, so that its error is reported.
+    """
+    unique: dict[str, Path] = {}
+    for path in given:
+        for bag in _within(path) if path.is_dir() else [path]:
+            unique.setdefault(os.path.realpath(bag), bag)
+    return list(unique.values())
+
+
+def _within(folder: Path) -> Iterator[Path]:
+    unreadable: list[Path] = []
+    for place, folders, files in os.walk(folder, onerror=lambda e: unreadable.append(Path(str(e.filename)))):
+        folders.sort()
+        if "metadata.yaml" in files:
+            folders.clear()
+            yield Path(place)
+            continue
+        yield from (Path(place, name) for name in sorted(files) if name.endswith(_SUFFIXES))
+    yield from unreadable
+
+
+def survey(path: str) -> Survey:
+    """Look at a bag: every byte is read twice, nothing is kept."""
+    try:
+        with BagReader(path) as reader:
+            if not reader.topics:
+                error = str(BagError(path, "holds no topic that can be read"))
+                return Survey(path, error=error, problems=tuple(reader.problems))
+            measured = joint_state_topics(reader)
+            return Survey(
+                path,
+                hashlib.sha256(b"".join(map(sha256, reader.paths))).hexdigest(),
+                reader.start if reader.message_count else None,
+                sum(topic.count for topic in reader.topics if topic.name in measured or not measured),
+                joints_in(reader),
+                tuple(reader.problems),  # last, with what reading showed
+                topics=frozenset(topic.name for topic in reader.topics),
+                duration=reader.duration,
+            )
+    except (BagError, OSError) as error:
+        return Survey(path, error=str(error if isinstance(error, BagError) else BagError(path, error)))
+
+
+def tasks(seen: Survey, config: Config, joints: tuple[JointConfig, ...]) -> list[Task]:
+    """The joints of a configuration of which a bag holds an angle, or a topic that a signal is mapped to."""
+    found = []
+    for joint in joints:
+        mapped = tuple(f"/{signal.topic.lstrip('/')}" for signal in joint.mapped.values() if signal.topic)
+        named = seen.names & {joint.input_joint, joint.output_joint}
+        if named or any(topic.endswith(mapped) for topic in seen.topics):
+            flat = {name: value for name, value in config.flat.items() if name.startswith(f"{joint.name}.")}
+            used = {name: flat[f"{joint.name}.{name}"] for name in _USED}
+            digest = hashlib.sha256(json.dumps(used, sort_keys=True).encode()).hexdigest()
+            found.append(Task(seen.path, joint, flat, seen.digest, digest, seen.messages))
+    return found
 
 
 def diagnose_fleet(
@@ -73,8 +160,14 @@ def diagnose_fleet(
     outcomes = functools.partial(run, pool, tick=tick, timeout=timeout)
     seen = _surveys(fleet, outcomes, progress)
     wanted = [tasks(one, fleet.config, fleet.joints) for one in seen]
-    shown = _last(robots, seen, wanted) if pages else {}
-    missing = {key for key in shown if pages and not pages.place(shown[key]).exists()}
+    last: dict[tuple[str | None, str], tuple[int, Task]] = {}  # recording of each joint of each robot
+    for robot, one, own in zip(robots, seen, wanted, strict=True):
+        for task in own if pages else ():
+            name, start = (robot, task.joint.name), one.start or 0
+            if name not in last or start >= last[name][0]:
+                last[name] = start, task
+    shown_keys = {task.key for _, task in last.values()}
+    missing = {task.key for _, task in last.values() if pages and not pages.place(task).exists()}
     todo = {
         task.key: replace(task, drawn=task.key in missing)
         for own in wanted
@@ -86,44 +179,26 @@ def diagnose_fleet(
     for bag, robot, one, own in zip(fleet.bags, robots, seen, wanted, strict=True):
         fixed: Row = {"bag": str(bag), "robot": robot, "start": one.start, "problems": list(one.problems)}
         fixed |= {"bag_sha256": one.digest or None, "bag_duration_s": one.duration or None}
-        results = [
-            (journal.results.get(task.key) or failed[task.key])
-            | ({PAGE: pages.link(task)} if pages and task.key in shown else {})
-            for task in own
-        ]
-        rows += [{**fixed, **result} for result in results or [_unusable(one, fleet.joints)]]
-    return rows
-
-
-def _last(
-    robots: Sequence[str | None], seen: Sequence[Survey], wanted: Sequence[Sequence[Task]]
-) -> dict[str, Task]:
-    """The last recording of each joint of each robot, by its key."""
-    found: dict[tuple[str | None, str], tuple[int, Task]] = {}
-    for robot, one, own in zip(robots, seen, wanted, strict=True):
         for task in own:
-            name, start = (robot, task.joint.name), one.start or 0
-            if name not in found or start >= found[name][0]:
-                found[name] = start, task
-    return {task.key: task for _, task in found.values()}
+            linked = {PAGE: pages.link(task)} if pages and task.key in shown_keys else {}
+            rows.append(fixed | (journal.results.get(task.key) or failed[task.key]) | linked)
+        if not own:
+            rows.append(fixed | _unusable(one, fleet.joints))
+    return rows
 
 
 def _surveys(fleet: Fleet, outcomes: _Outcomes, progress: Progress) -> list[Survey]:
     paths = [os.path.abspath(bag) for bag in fleet.bags]  # a worker may be in another folder
-    found: dict[str, Survey] = {}
+    found: dict[int, Survey] = {}
     progress("reading", 0, len(paths), 0)
+    here = running()["hd_diag"]
     for number, outcome in outcomes(survey, paths):
-        path = paths[number]
-        found[path] = Survey(path, error=outcome.text) if isinstance(outcome, Failure) else outcome
-        _check_version(found[path])
+        one = Survey(paths[number], error=outcome.text) if isinstance(outcome, Failure) else outcome
+        if (there := one.versions["hd_diag"]) != here:
+            raise FleetError(f"a worker has hd_diag {there}, this is {here}: install the same everywhere")
+        found[number] = one
         progress("reading", len(found), len(paths), len(found))
-    return [found[path] for path in paths]
-
-
-def _check_version(seen: Survey) -> None:
-    here, there = running()["hd_diag"], seen.versions["hd_diag"]
-    if here != there:
-        raise FleetError(f"a worker has hd_diag {there}, this is {here}: install the same everywhere")
+    return [found[number] for number in range(len(paths))]
 
 
 def _judge(
@@ -137,11 +212,8 @@ def _judge(
     for done, (number, outcome) in enumerate(outcomes(judge, todo), start=1):
         task = todo[number]
         if isinstance(outcome, Failure):
-            failed[task.key] = {
-                "joint": task.joint.name,
-                "config_sha256": task.config_digest,
-                "error": outcome.text,
-            }
+            own = {"joint": task.joint.name, "config_sha256": task.config_digest}
+            failed[task.key] = {**own, "error": outcome.text}
         else:
             drawn = outcome.pop(PAGE, None)
             if pages and drawn:

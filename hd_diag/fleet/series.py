@@ -60,41 +60,31 @@ def series_of(rows: Sequence[Row], limits: Limits) -> list[Series]:
         judged = row.get("rms_nominal_rad") is not None or row.get("ripple_orders")
         if row.get("start") is not None and judged:
             joints[row.get("robot") or "", row["joint"]].append(row)
-    return [
-        _series(robot, joint, quantity, points, limits)
-        for (robot, joint), own in sorted(joints.items())
-        for quantity, points in _quantities(own).items()
-    ]
-
-
-def _series(robot: str, joint: str, quantity: str, points: list[Point], limits: Limits) -> Series:
-    time, value, std = np.array(points).reshape(-1, 3).T
-    unit = "m" if quantity == ECCENTRICITY else "N m" if quantity.startswith(RIPPLE) else "rad"
-    return Series(robot, joint, quantity, unit, time, value, std, limit_of(limits, joint, quantity))
+    found = []
+    for (robot, joint), own in sorted(joints.items()):
+        rippled = [row for row in own if row.get("ripple_orders")]
+        compared = [row for row in own if not row.get("ripple_orders")]
+        for quantity, points in {**_of_errors(compared), **_ripples(rippled)}.items():
+            time, value, std = np.array(points).reshape(-1, 3).T
+            unit = "m" if quantity == ECCENTRICITY else "N m" if quantity.startswith(RIPPLE) else "rad"
+            limit = limit_of(limits, joint, quantity)
+            found.append(Series(robot, joint, quantity, unit, time, value, std, limit))
+    return found
 
 
 def limit_of(limits: Limits, joint: str, quantity: str) -> float:
     """The least limit of a joint's quantity, which may be one of several causes; nan where it has none."""
-    own = (limits.get((joint, name), math.inf) for name in quantity.split(" or "))
-    least = min(own)
-    return least if least < math.inf else math.nan
-
-
-def _quantities(rows: list[Row]) -> dict[str, list[Point]]:
-    rippled = [row for row in rows if row.get("ripple_orders")]
-    rows = [row for row in rows if not row.get("ripple_orders")]
-    return {**(_of_errors(rows) if rows else {}), **_ripples(rippled)}
+    own = [limits[joint, name] for name in quantity.split(" or ") if (joint, name) in limits]
+    return min(own, default=math.nan)
 
 
 def _ripples(rows: list[Row]) -> dict[str, list[Point]]:
     """Amplitudes of each line that was found in one row at least."""
+    names = [f"ripple_{name}" for name in ("orders", "reverses", "amplitudes_Nm", "stds_Nm", "found")]
     found: dict[str, list[Point]] = defaultdict(list)
     seen = set()
     for row in rows:
-        for order, reverses, size, std, there in zip(
-            *(row[f"ripple_{name}"] for name in ("orders", "reverses", "amplitudes_Nm", "stds_Nm", "found")),
-            strict=True,
-        ):
+        for order, reverses, size, std, there in zip(*(row[name] for name in names), strict=True):
             name = f"{RIPPLE}{order:g}{'_reversing' * reverses}"
             found[name].append((began(row), size, _known(std)))
             seen |= {name} if there else set()
@@ -105,19 +95,17 @@ def _of_errors(rows: list[Row]) -> dict[str, list[Point]]:
     compared = [row for row in rows if row.get("error_rad") is not None]
     errors = [(began(row), row["error_rad"], _known(row["error_std_rad"])) for row in compared]
     found = {ERROR: errors} if errors else {}
-    found |= {
-        ECCENTRICITY: [
-            (began(row), row["eccentricity_m"], _known(row["eccentricity_std_m"]))
-            for row in rows
-            if row.get("trustworthy") and row.get("eccentricity_m") is not None
-        ],
-        NOMINAL: [_residual(row, row["rms_nominal_rad"]) for row in rows],
-        REFIT: [_residual(row, row["rms_refit_rad"]) for row in rows],
-    }
+    if rows:
+        sure = [row for row in rows if row.get("trustworthy") and row.get("eccentricity_m") is not None]
+        found[ECCENTRICITY] = [
+            (began(row), row["eccentricity_m"], _known(row["eccentricity_std_m"])) for row in sure
+        ]
+        found[NOMINAL] = [_residual(row, row["rms_nominal_rad"]) for row in rows]
+        found[REFIT] = [_residual(row, row["rms_refit_rad"]) for row in rows]
     for names in classes(row.get("cause_classes") or [] for row in rows):
-        points = [_amplitude(row, names) for row in rows]
-        if any(point is not None and point[1] > 0.0 for point in points):
-            found[" or ".join(sorted(names))] = [point for point in points if point is not None]
+        points = [point for row in rows if (point := _amplitude(row, names))]
+        if any(size > 0.0 for _, size, _ in points):
+            found[" or ".join(sorted(names))] = points
     return found
 
 
@@ -132,16 +120,12 @@ def classes(of_rows: Iterable[Sequence[Sequence[str]]]) -> list[frozenset[str]]:
 
 def _amplitude(row: Row, names: frozenset[str]) -> Point | None:
     """Amplitude of a cause in a row; None where the record could not have shown it."""
-    for name, size, std in zip(
-        row["causes"], row["cause_amplitudes_rad"], row["cause_amplitude_stds_rad"], strict=True
-    ):
+    columns = (row[f"cause{end}"] for end in ("s", "_amplitudes_rad", "_amplitude_stds_rad"))
+    for name, size, std in zip(*columns, strict=True):
         if name in names:
             return None if size is None else (began(row), size, _known(std))
-    least = [
-        size
-        for name, size in zip(row["tested"], row["tested_least_rad"], strict=True)
-        if name in names and size is not None
-    ]
+    tested = zip(row["tested"], row["tested_least_rad"], strict=True)
+    least = [size for name, size in tested if name in names and size is not None]
     return (began(row), 0.0, _UNSEEN * min(least)) if least else None
 
 

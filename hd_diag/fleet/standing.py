@@ -28,9 +28,9 @@ import numpy as np
 from hd_diag.diagnosis.judgement import Limited
 from hd_diag.fleet.rows import Row
 from hd_diag.fleet.series import ECCENTRICITY, ERROR, Limits, Series, began, limit_of
-from hd_diag.fleet.trend import CHANGED, Trend
+from hd_diag.fleet.trend import Trend
 from hd_diag.formatting import si, size, words
-from hd_diag.report.limits import AMBER, GREEN, GREY, RED, STATES
+from hd_diag.report.advice import AMBER, GREEN, GREY, RED, STATES
 
 _COVERED = 0.5  # of a bag, that a joint's samples must cover: drivers may start late, or stop early
 _REFUSED = 0.05  # of the samples, up to which the verdict alone tells that they were refused
@@ -68,12 +68,59 @@ class Standing:
     @property
     def changes(self) -> tuple[Trend, ...]:
         """What steps or drifts."""
-        return tuple(trend for trend in self.trends if trend.form in CHANGED)
+        return tuple(trend for trend in self.trends if trend.changed)
 
     @property
     def nearest(self) -> Limited | None:
         """What comes nearest to its limit, or is farthest beyond; None without any."""
         return max(self.colour.limited, key=lambda one: one.value / one.limit, default=None)
+
+
+@dataclass(frozen=True)
+class Health:
+    """A run's rows, each with its colour, its trends, and how each joint stands, the worst first."""
+
+    rows: Sequence[Row]
+    colours: Sequence[Colour]
+    trends: Sequence[Trend]
+    standings: Sequence[Standing]
+
+    def fails(self, least: str) -> bool:
+        """Whether something is ``red``, or as bad as ``amber``: not green, or a bag not judged or cut off."""
+        if least == RED:
+            return any(one.colour.state == RED for one in self.standings)
+        return any(one.colour.state != GREEN for one in self.standings) or bool(self.attention[0])
+
+    @property
+    def attention(self) -> tuple[list[int], list[int]]:
+        """Indices of rows that could not be judged or are not whole: those that still matter, and older ones.
+
+        Older ones are followed by a recording of the same joint, or, where a bag has no usable joint, of the
+        same robot.
+        """
+        last: dict[tuple[str | None, str | None], int] = {}
+        for row in self.rows:
+            for joint in (row.get("joint"), None) if row.get("joint") else ():
+                key = row.get("robot"), joint
+                last[key] = max(last.get(key, 0), row.get("start") or 0)
+        found: tuple[list[int], list[int]] = [], []
+        for place, (row, colour) in enumerate(zip(self.rows, self.colours, strict=True)):
+            if colour.state == GREY or missing(row) or left_out(row):
+                start, newest = row.get("start"), last.get((row.get("robot"), row.get("joint")), 0)
+                found[start is not None and start < newest].append(place)
+        return found
+
+    @property
+    def overlapping(self) -> list[tuple[Row, Row]]:
+        """Rows of one joint of one robot that were recorded at the same time, copies aside."""
+        known = [row for row in self.rows if row.get("joint") and row.get("start") is not None]
+        return [
+            (one, other)
+            for one, other in itertools.pairwise(sorted(known, key=lambda row: (_joint(row), row["start"])))
+            if _joint(one) == _joint(other)
+            and one.get("bag_sha256") != other.get("bag_sha256")
+            and other["start"] < one["start"] + 1e9 * (one.get("duration_s") or 0.0)
+        ]
 
 
 def limits_of(rows: Iterable[Row]) -> dict[tuple[str, str], float]:
@@ -87,19 +134,34 @@ def limits_of(rows: Iterable[Row]) -> dict[tuple[str, str], float]:
     }
 
 
-def coloured(rows: Sequence[Row], trends: Sequence[Trend], limits: Limits) -> list[Colour]:
-    """The colour of every row."""
-    series: dict[tuple[str, str], list[Series]] = defaultdict(list)
+def health(rows: Sequence[Row], trends: Sequence[Trend], limits: Limits) -> Health:
+    """Rows and trends of a run judged by limits; the rows get the column ``state``."""
+    of_joint: dict[tuple[str, str], list[Trend]] = defaultdict(list)
     for trend in trends:
-        series[trend.series.robot, trend.series.joint].append(trend.series)
-    return [_colour(row, series[row.get("robot") or "", row.get("joint") or ""], limits) for row in rows]
+        of_joint[trend.series.robot, trend.series.joint].append(trend)
+    colours = [_colour(row, [trend.series for trend in of_joint[_joint(row)]], limits) for row in rows]
+    judged = [{**row, "state": colour.state} for row, colour in zip(rows, colours, strict=True)]
+    recordings: dict[tuple[str, str], list[tuple[Row, Colour]]] = defaultdict(list)
+    for row, colour in zip(judged, colours, strict=True):
+        if row.get("joint"):
+            recordings[_joint(row)].append((row, colour))
+    standings = [_standing(joint, own, of_joint[joint]) for joint, own in recordings.items()]
+    return Health(judged, colours, trends, sorted(standings, key=_order))
+
+
+def _joint(row: Row) -> tuple[str, str]:
+    return row.get("robot") or "", row.get("joint") or ""
 
 
 def _colour(row: Row, series: Sequence[Series], limits: Limits) -> Colour:
     unjudged = row.get("error") or (row.get("judgement") == "not_judged" and row["verdict"])
     limited = () if unjudged else tuple(one for each in series if (one := _limited(row, each, limits)))
     cut, places = (*missing(row), *left_out(row)), {one.place for one in limited}
-    reasons = [_excess(one) for one in limited if one.place in ("beyond", "near")]
+    reasons = []
+    for one in limited:
+        limit, value = f"its limit of {size(one.limit, one.unit)}", si(one.value, one.std, one.unit)
+        where = {"beyond": f"beyond {limit}", "near": f"too near to {limit} to judge"}.get(one.place)
+        reasons += [f"{words(one.quantity)} {value}, {where}"] if where else []
     skipped, rippled = "tooth_skip" in (row.get("causes") or []), bool(row.get("ripple_orders"))
     known = any(one.quantity == ERROR and one.place != "open" for one in limited)
     rules: tuple[tuple[Any, str, list[str]], ...] = (  # the first that holds
@@ -144,96 +206,18 @@ def _limited(row: Row, series: Series, limits: Limits) -> Limited | None:
     return Limited(series.quantity, float(series.value[at[-1]]), std, limit, series.unit)
 
 
-def _excess(one: Limited) -> str:
-    """A quantity that is not within its limit, in words."""
-    limit = f"its limit of {size(one.limit, one.unit)}"
-    where = f"beyond {limit}" if one.place == "beyond" else f"too near to {limit} to judge"
-    return f"{words(one.quantity)} {si(one.value, one.std, one.unit)}, {where}"
-
-
-# Joints ---
-
-
-def standings(rows: Sequence[Row], colours: Sequence[Colour], trends: Sequence[Trend]) -> list[Standing]:
-    """Every joint of every robot by its last recording, the worst first, then those that changed."""
-    joints: dict[tuple[str, str], list[tuple[Row, Colour]]] = defaultdict(list)
-    for row, colour in zip(rows, colours, strict=True):
-        if row.get("joint"):
-            joints[row.get("robot") or "", row["joint"]].append((row, colour))
-    found = [
-        _standing(robot, joint, sorted(own, key=lambda one: one[0].get("start") or 0), trends)
-        for (robot, joint), own in joints.items()
-    ]
-    return sorted(found, key=_order)
-
-
-def _standing(robot: str, joint: str, own: Sequence[tuple[Row, Colour]], trends: Sequence[Trend]) -> Standing:
+def _standing(joint: tuple[str, str], own: Sequence[tuple[Row, Colour]], trends: Sequence[Trend]) -> Standing:
+    own = sorted(own, key=lambda one: one[0].get("start") or 0)
     history = tuple((began(row), colour.state) for row, colour in own)
     row, colour = own[-1]
     known = [one for one in history if colour.state == GREY or one[1] != GREY]
     count = next((n for n, (_, state) in enumerate(reversed(known)) if state != colour.state), len(known))
     before = known[-count - 1][1] if count < len(known) else None
-    of_joint = tuple(t for t in trends if (t.series.robot, t.series.joint) == (robot, joint))
-    return Standing(robot, joint, row, colour, known[-count][0], count, before, history, of_joint)
-
-
-@dataclass(frozen=True)
-class Health:
-    """A run's rows, each with its colour, its trends, and how each joint stands, the worst first."""
-
-    rows: Sequence[Row]
-    colours: Sequence[Colour]
-    trends: Sequence[Trend]
-    standings: Sequence[Standing]
-
-    def fails(self, least: str) -> bool:
-        """Whether something is ``red``, or as bad as ``amber``: not green, or a bag not judged or cut off."""
-        if least == RED:
-            return any(one.colour.state == RED for one in self.standings)
-        bad = any(one.colour.state != GREEN for one in self.standings)
-        return bad or bool(self.attention[0])
-
-    @property
-    def attention(self) -> tuple[list[int], list[int]]:
-        """Indices of rows that could not be judged or are not whole: those that still matter, and older ones.
-
-        Older ones are followed by a recording of the same joint, or, where a bag has no usable joint, of the
-        same robot.
-        """
-        last: dict[tuple[str | None, str | None], int] = {}
-        for row in self.rows:
-            for joint in (row.get("joint"), None) if row.get("joint") else ():
-                key = row.get("robot"), joint
-                last[key] = max(last.get(key, 0), row.get("start") or 0)
-        found: tuple[list[int], list[int]] = [], []
-        for place, (row, colour) in enumerate(zip(self.rows, self.colours, strict=True)):
-            if colour.state == GREY or missing(row) or left_out(row):
-                start, newest = row.get("start"), last.get((row.get("robot"), row.get("joint")), 0)
-                found[start is not None and start < newest].append(place)
-        return found
-
-    @property
-    def overlapping(self) -> list[tuple[Row, Row]]:
-        """Rows of one joint of one robot that were recorded at the same time, copies aside."""
-        found = []
-        known = [row for row in self.rows if row.get("joint") and row.get("start") is not None]
-        ordered = sorted(known, key=lambda row: (row.get("robot") or "", row["joint"], row["start"]))
-        for one, other in itertools.pairwise(ordered):
-            name, next_name = ((row.get("robot"), row["joint"]) for row in (one, other))
-            same = name == next_name and one.get("bag_sha256") != other.get("bag_sha256")
-            if same and other["start"] < one["start"] + 1e9 * (one.get("duration_s") or 0.0):
-                found.append((one, other))
-        return found
-
-
-def health(rows: Sequence[Row], trends: Sequence[Trend], limits: Limits) -> Health:
-    """Rows and trends of a run judged by limits; the rows get the column ``state``."""
-    colours = coloured(rows, trends, limits)
-    judged_rows = [{**row, "state": colour.state} for row, colour in zip(rows, colours, strict=True)]
-    return Health(judged_rows, colours, trends, standings(judged_rows, colours, trends))
+    return Standing(*joint, row, colour, known[-count][0], count, before, history, tuple(trends))
 
 
 def _order(one: Standing) -> tuple[int, bool, float, list[object], list[object]]:
+    """The worst first, then those that changed, then what is nearest to its limit."""
     worst = one.nearest.value / one.nearest.limit if one.nearest else 0.0
     return STATES.index(one.colour.state), not one.changes, -worst, natural(one.robot), natural(one.joint)
 

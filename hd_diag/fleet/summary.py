@@ -16,14 +16,11 @@ from hd_diag.bag import BagError
 from hd_diag.fleet.rows import PAGE, SCHEMA, Row, readable
 from hd_diag.fleet.series import ECCENTRICITY, ERROR, began
 from hd_diag.fleet.standing import Colour, Health, Standing, left_out, missing
-from hd_diag.fleet.steps import FALSE_ALARM, MeanShift
-from hd_diag.fleet.trend import CHANGED, Trend
+from hd_diag.fleet.trend import FALSE_ALARM, Trend
 from hd_diag.formatting import SCALES, json_ready, number, words
-from hd_diag.report.limits import GREEN, GREY, STATES
+from hd_diag.report.advice import GREEN, GREY, STATES
 
-_LINES = 24
-"""Joints of a table for a terminal; those that are not green are never left out."""
-
+_LINES = 24  # joints of a table for a terminal; those that are not green are never left out
 _MONTH = 30.0 * 86400.0  # [s]
 
 
@@ -70,9 +67,15 @@ def _joint(one: Standing) -> dict[str, Any]:
 
 def _trend(trend: Trend) -> dict[str, Any]:
     series, line = trend.series, trend.line
-    last = None
+    last = limit = slope = None
     if series.value.size:
         last = {"time": moment(series.time[-1]), "value": series.value[-1], "std": series.std[-1]}
+    if line:
+        unit = f"{series.unit}/s"
+        slope = {"value": line.slope, "low": line.low_slope, "high": line.high_slope, "unit": unit}
+    if not math.isnan(series.limit):
+        when, low, high = map(moment, trend.crossing or (math.inf,) * 3)
+        limit = {"value": series.limit, "reached": when, "reached_low": low, "reached_high": high}
     return {
         "robot": series.robot or None,
         "joint": series.joint,
@@ -84,35 +87,21 @@ def _trend(trend: Trend) -> dict[str, Any]:
         "last": last,
         "steps": {"p_value": trend.step_p, "q_value": trend.step_q},
         "drift": {"p_value": trend.drift_p, "q_value": trend.drift_q},
-        "changes": [_change(change) for change in trend.changes],
-        "slope": line
-        and {
-            "value": line.slope,
-            "low": line.low_slope,
-            "high": line.high_slope,
-            "unit": f"{series.unit}/s",
-        },
-        "limit": _limit(trend),
+        "changes": [
+            {
+                "after": moment(change.before),
+                "before": moment(change.after),
+                "low": moment(change.low),
+                "high": moment(change.high),
+                "size": {"value": change.size, "low": change.size_low, "high": change.size_high},
+                "p_value": change.p_value,
+            }
+            for change in trend.changes
+        ],
+        "slope": slope,
+        "limit": limit,
         "statement": statement(trend),
     }
-
-
-def _change(change: MeanShift) -> dict[str, Any]:
-    return {
-        "after": moment(change.before),
-        "before": moment(change.after),
-        "low": moment(change.low),
-        "high": moment(change.high),
-        "size": {"value": change.size, "low": change.size_low, "high": change.size_high},
-        "p_value": change.p_value,
-    }
-
-
-def _limit(trend: Trend) -> dict[str, Any] | None:
-    if math.isnan(trend.series.limit):
-        return None
-    when, low, high = map(moment, trend.crossing or (math.inf,) * 3)
-    return {"value": trend.series.limit, "reached": when, "reached_low": low, "reached_high": high}
 
 
 def moment(time: float) -> str | None:
@@ -130,21 +119,21 @@ def statement(trend: Trend) -> str:
     """What a series says, in words."""
     if trend.form == "unknown":
         return f"cannot tell yet: needs {trend.needed} bags, has {trend.series.value.size}"
-    if trend.form == "steps":
-        return "stepped " + "; ".join(_step(trend, change) for change in trend.changes)
-    if trend.form == "drift":
-        return _drift(trend)
-    p = min(trend.step_q, trend.drift_q)
-    return f"no step and no trend (p = {p:.2g})"
+    if trend.form == "constant":
+        return f"no step and no trend (p = {min(trend.step_q, trend.drift_q):.2g})"
+    return _steps(trend) if trend.form == "steps" else _drift(trend)
 
 
-def _step(trend: Trend, change: MeanShift) -> str:
+def _steps(trend: Trend) -> str:
     scale, unit = SCALES[trend.series.unit]
-    size, low, high = (value / scale for value in (change.size, change.size_low, change.size_high))
-    return (
-        f"by {size:+.3g} {unit} ({low:.3g} to {high:.3g}) between {day(change.before)} and "
-        f"{day(change.after)} (95 %: {day(change.low)} to {day(change.high)}), p = {change.p_value:.2g}"
-    )
+    told = []
+    for change in trend.changes:
+        size, low, high = (value / scale for value in (change.size, change.size_low, change.size_high))
+        told.append(
+            f"by {size:+.3g} {unit} ({low:.3g} to {high:.3g}) between {day(change.before)} and "
+            f"{day(change.after)} (95 %: {day(change.low)} to {day(change.high)}), p = {change.p_value:.2g}"
+        )
+    return f"stepped {'; '.join(told)}"
 
 
 def _drift(trend: Trend) -> str:
@@ -154,14 +143,14 @@ def _drift(trend: Trend) -> str:
         f"drifts by {rate:+.3g} {unit} ({low:.3g} to {high:.3g}) in 30 days, "
         f"p = {trend.drift_q:.2g} with all series"
     )
-    limit = trend.series.limit
+    if math.isnan(trend.series.limit):
+        return text
+    limit = f"the limit of {trend.series.limit / scale:.4g} {unit}"
     if trend.crossing is None:
-        return text if math.isnan(limit) else f"{text}; no date for the limit of {limit / scale:.4g} {unit}"
+        return f"{text}; no date for {limit}"
     when, first, last = trend.crossing
     word = "passed" if when < trend.series.time[-1] else "reaches"
-    return (
-        f"{text}; {word} the limit of {limit / scale:.4g} {unit} on {day(when)} ({day(first)} to {day(last)})"
-    )
+    return f"{text}; {word} {limit} on {day(when)} ({day(first)} to {day(last)})"
 
 
 def day(time: float) -> str:
@@ -171,29 +160,25 @@ def day(time: float) -> str:
 
 
 def headline(found: Health) -> str:
-    """How many joints have which state, and what is missing."""
+    """How many joints have which state, what changed, and which bags are lost."""
     standings, rows = found.standings, [found.rows[n] for n in found.attention[0]]
     if not standings:
         return "No joint was found in any recording."
     counts = Counter(one.colour.state for one in standings)
-    parts = [f"{counts[state]} {words(state)}" for state in STATES if counts[state]]
-    total = f"{len(standings)} joint{'s' * (len(standings) > 1)}"
-    text = f"Of {total}: {', '.join(parts)}. {_changed(found)}."
+    states = ", ".join(f"{counts[state]} {words(state)}" for state in STATES if counts[state])
+    changed = sum(bool(one.changes) for one in standings)
+    unknown = [trend for trend in found.trends if trend.form == "unknown"]
+    over_time = f"{changed or 'None'} changed over time"
+    if unknown and not changed:
+        over_time = f"Changes over time: {statement(max(unknown, key=lambda t: t.series.value.size))}"
     lost = {
         "without a joint that could be judged": {row["bag"] for row in rows if not row.get("joint")},
         "cut off": {row["bag"] for row in rows if missing(row)},
         "with samples left out": {row["bag"] for row in rows if left_out(row)},
     }
-    parts = [f"{len(bags)} {what}" for what, bags in lost.items() if bags]
-    return f"{text} Of the bags: {', '.join(parts)}." if parts else text
-
-
-def _changed(found: Health) -> str:
-    changed = sum(bool(one.changes) for one in found.standings)
-    unknown = [trend for trend in found.trends if trend.form == "unknown"]
-    if changed or not unknown:
-        return f"{changed or 'None'} changed over time"
-    return f"Changes over time: {statement(max(unknown, key=lambda trend: trend.series.value.size))}"
+    bags = ", ".join(f"{len(bags)} {what}" for what, bags in lost.items() if bags)
+    total = f"{len(standings)} joint{'s' * (len(standings) > 1)}"
+    return f"Of {total}: {states}. {over_time}.{f' Of the bags: {bags}.' if bags else ''}"
 
 
 def notes(found: Health) -> list[str]:
@@ -221,23 +206,17 @@ def table(found: Health) -> Table:
     first = 0 if any(one.robot for one in shown) else 1  # column
     left = len(found.standings) - len(shown)
     caption = f"and {left} more green" if left else None
-    style = {"box": SIMPLE, "padding": (0, 1, 0, 0), "caption_justify": "left"}
-    result = Table(caption=caption, **style)  # type: ignore[arg-type]
+    result = Table(caption=caption, box=SIMPLE, padding=(0, 1, 0, 0), caption_justify="left")
     for title in titles[first:]:
         result.add_column(title, no_wrap=title in ("state", "recorded", "bags"))
     for one in shown:
-        own = [
-            row for row in found.rows if (row.get("robot") or "", row.get("joint")) == (one.robot, one.joint)
-        ]
+        name = one.robot, one.joint
+        own = [row for row in found.rows if (row.get("robot") or "", row.get("joint")) == name]
         judged = sum(not row.get("error") for row in own)
-        cells = [
-            one.robot,
-            one.joint,
-            words(one.colour.state),
-            recorded(one.row).removeprefix("recorded ")[:10],
-        ]
-        cells += [_last(one, ERROR), _last(one, ECCENTRICITY)]
-        cells += [str(judged) if judged == len(own) else f"{judged} of {len(own)}", _what(one, own)]
+        bags = str(judged) if judged == len(own) else f"{judged} of {len(own)}"
+        date = recorded(one.row).removeprefix("recorded ")[:10]
+        sizes = _last(one, ERROR), _last(one, ECCENTRICITY)
+        cells = (*name, words(one.colour.state), date, *sizes, bags, _what(one, own))
         result.add_row(*map(Text, cells[first:]))
     return result
 
@@ -265,10 +244,9 @@ def _what(one: Standing, rows: Sequence[Row]) -> str:
 def sentences(trends: Sequence[Trend]) -> list[str]:
     """One for each series that changes."""
     return [
-        f"{f'{t.series.robot} ' if t.series.robot else ''}{t.series.joint}: "
-        f"{words(t.series.quantity)} {statement(t)}"
+        f"{f'{t.series.robot} {t.series.joint}'.strip()}: {words(t.series.quantity)} {statement(t)}"
         for t in trends
-        if t.form in CHANGED
+        if t.changed
     ]
 
 

@@ -13,7 +13,7 @@ from hd_diag.fleet.rows import FITTED, SCHEMA, Row, readable
 _TEXT, _NUMBER, _COUNT, _FLAG = pa.string(), pa.float64(), pa.int64(), pa.bool_()
 _TEXTS, _NUMBERS = pa.list_(_TEXT), pa.list_(_NUMBER)
 _TIME = pa.timestamp("us", tz="UTC")
-_RMS = "rad rms at the output"
+_RMS, _BY_FRAME, _OF_OUTPUT = "rad rms at the output", "1/turn or Hz by the frame", "1/turn of the output"
 
 
 def _column(name: str, kind: pa.DataType, unit: str, about: str) -> pa.Field:
@@ -59,14 +59,10 @@ COLUMNS = pa.schema(
         _column("fraction_explained", _NUMBER, "1", "of the nominal mean square, by the extended model"),
         _column("fraction_explained_low", _NUMBER, "1", "lower end of its 95 % interval"),
         _column("fraction_explained_high", _NUMBER, "1", "upper end of its 95 % interval"),
-        _column(
-            "unexplained_orders", _NUMBERS, "1/turn or Hz by the frame", "lines that no known cause explains"
-        ),
+        _column("unexplained_orders", _NUMBERS, _BY_FRAME, "lines that no known cause explains"),
         _column("unexplained_frames", _TEXTS, "", "input, output (orders per turn) or time (Hz) of each"),
         _column("unexplained_amplitudes_rad", _NUMBERS, "rad", "amplitude of each"),
-        _column(
-            "ripple_orders", _NUMBERS, "1/turn of the output", "of a joint with one angle: its torque's lines"
-        ),
+        _column("ripple_orders", _NUMBERS, _OF_OUTPUT, "of a joint with one angle: its torque's lines"),
         _column("ripple_reverses", pa.list_(_FLAG), "", "whether each changes its sign with the direction"),
         _column("ripple_amplitudes_Nm", _NUMBERS, "N m", "amplitude of each, found or not"),
         _column("ripple_stds_Nm", _NUMBERS, "N m", "their standard deviations"),
@@ -100,12 +96,9 @@ COLUMNS = pa.schema(
 
 def write_table(path: Path, rows: Sequence[Row]) -> None:
     """Write the rows as Parquet; raises OSError where they cannot be."""
-    table = pa.Table.from_pylist([_storable(row) for row in rows], schema=COLUMNS)
+    stored = [{name: readable(value) for name, value in row.items()} for row in rows]
+    for row in stored:
+        row["start"] = row["start"] // 1000 if row.get("start") is not None else None
+    table = pa.Table.from_pylist(stored, schema=COLUMNS)
     with path.open("wb") as file:
         pq.write_table(table, file, compression="zstd")
-
-
-def _storable(row: Row) -> Row:
-    start = row.get("start")
-    stored = {name: readable(value) for name, value in row.items()}
-    return {**stored, "start": None if start is None else start // 1000}

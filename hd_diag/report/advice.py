@@ -1,24 +1,35 @@
-"""What to look at in the joint: a card for every cause found and every parameter not as configured."""
+"""How bad a joint is beside its limits, and what to look at: a card for every cause and parameter found."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
-from hd_diag.diagnosis.judgement import Answer
+from hd_diag.diagnosis.judgement import Answer, Beside, Limited
 from hd_diag.diagnosis.search.causes import Cause
 from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE
-from hd_diag.effects.effect import Effect
 from hd_diag.effects.quantity import Quantity
-from hd_diag.formatting import arcsec, direction, si, size, spread_number, words
+from hd_diag.formatting import direction, si, size, spread_number, words
 
 _OWN = {effect.name: effect for effect in CATALOGUE}
 
 _SIGMAS = 2.0
 """Standard deviations from nothing, or from the configured value, from which a number is on a card."""
+
+RED, GREY, AMBER, GREEN = STATES = ("red", "not_judged", "amber", "green")
+"""Of joints, the worst first: what is not known is worse than what is nearly too much."""
+
+COLOURS: dict[Beside, str] = {"within": GREEN, "near": AMBER, "beyond": RED, "open": GREY}
+
+_TOLD: dict[Beside, str] = {
+    "within": "within",
+    "near": "too near to its limit to judge",
+    "beyond": "beyond",
+    "open": "not known well enough",
+}
 
 _Entries = Mapping[str, Mapping[str, Any]]  # value, std, unit and configured of parameters
 _Measures = tuple[tuple[str, str], ...]
@@ -28,8 +39,8 @@ _Measures = tuple[tuple[str, str], ...]
 class Card:
     """One thing to inspect: its part in the error [rad rms], the cause in a sentence, what to measure.
 
-    `inspect` says what to look at and which test would confirm it; the alternatives, each with the same, are
-    causes that look alike in this record. Of a setting the configured number may be wrong, not the joint.
+    `inspect` says what to look at and which test would confirm it; alternatives are causes that look alike in
+    this record. Of a setting the configured number may be wrong, not the joint.
     """
 
     title: str
@@ -39,11 +50,6 @@ class Card:
     inspect: str
     alternatives: _Measures = ()
     setting: bool = False
-
-    @property
-    def share(self) -> str:
-        """Its size in words; empty where it has none."""
-        return f"{arcsec(self.size)} rms of the error" if math.isfinite(self.size) else ""
 
 
 def cards(answer: Answer) -> list[Card]:
@@ -55,31 +61,33 @@ def cards(answer: Answer) -> list[Card]:
         Card(words(f.name).capitalize(), math.nan, f.text, (), advice.get(f.name, ""))
         for f in diagnosis.findings
     ]
-    found = [card for cause in diagnosis.causes if (card := _of_cause(cause, effects))]
+    found = [card for cause in diagnosis.causes if (card := _of_cause(cause, advice))]
+    by_title: dict[str, Card] = {}  # both compliances are one
     if diagnosis.refitted is not None:
-        found += _of_parameters(answer)
-    return first + sorted(found, key=lambda card: -card.size)
+        for change in answer.changes:
+            card = _OF_PARAMETER[change.name](diagnosis.parameters, diagnosis.refitted.drive)
+            by_title.setdefault(card.title, replace(card, size=change.explains))
+    return first + sorted([*found, *by_title.values()], key=lambda card: -card.size)
 
 
-def _of_cause(cause: Cause, effects: Mapping[str, Effect]) -> Card | None:
+def _of_cause(cause: Cause, advice: Mapping[str, str]) -> Card | None:
     """The card of a cause; None where all its sizes may as well be zero."""
     effect = cause.effect
     values = effect.to_physical(cause.coefficients, cause.nonlinear)
     spread = effect.standard_deviations(cause.coefficients, cause.nonlinear, cause.covariance)
-    sure = [
-        (entry, values[entry.name][0], std)
-        for entry in effect.quantities
-        for std in (spread.get(entry.name, math.nan),)
-        if _known(entry, values[entry.name][0], std)
-    ]
-    sizes = {entry.name for entry in effect.quantities if entry.linear and entry.periodic is None}
-    if sizes and not sizes & {entry.name for entry, _, _ in sure}:
+    sizes, sure, measures = 0, 0, []
+    for entry in effect.quantities:
+        value, std = values[entry.name][0], spread.get(entry.name, math.nan)
+        known = _known(entry, value, std)
+        if known:
+            measures.append((words(entry.name), quantity(entry, value, std)))
+        if entry.linear and entry.periodic is None:
+            sizes, sure = sizes + 1, sure + known
+    if sizes and not sure:
         return None
-    measures = tuple((words(entry.name), quantity(entry, value, std)) for entry, value, std in sure)
-    alike = [name for name in cause.alike if name != effect.name]
-    others = tuple((words(name), effects[name].inspect if name in effects else "") for name in alike)
+    others = tuple((words(name), advice.get(name, "")) for name in cause.alike if name != effect.name)
     title = words(effect.name).capitalize()
-    return Card(title, cause.amplitude, effect.cause, measures, effect.inspect, others)
+    return Card(title, cause.amplitude, effect.cause, tuple(measures), effect.inspect, others)
 
 
 def _known(entry: Quantity, value: float, std: float) -> bool:
@@ -96,17 +104,6 @@ def quantity(entry: Quantity, value: float, spread: float) -> str:
     if entry.unit == "rad" and entry.name == "angle":
         return spread_number(math.degrees(value), math.degrees(spread), "°")
     return si(value, spread, entry.unit)
-
-
-def _of_parameters(answer: Answer) -> list[Card]:
-    """Cards of the parameters that are not as configured; both compliances are one."""
-    diagnosis = answer.diagnosis
-    assert diagnosis.refitted is not None
-    found: dict[str, Card] = {}
-    for change in answer.changes:
-        card = _OF_PARAMETER[change.name](diagnosis.parameters, diagnosis.refitted.drive)
-        found.setdefault(card.title, replace(card, size=change.explains))
-    return list(found.values())
 
 
 def _eccentricity(values: _Entries, drive: Drive) -> Card:
@@ -164,16 +161,14 @@ def _datum(values: _Entries, _: Drive) -> Card:
 
 
 def _compliance(values: _Entries, _: Drive) -> Card:
-    both = {name: values[name] for name in ("tooth_compliance", "cup_compliance")}
+    names = ("tooth_compliance", "cup_compliance")
+    both = [(words(name), values[name]) for name in names]
+    changed = [(name, e) for name, e in both if not abs(e["value"] - e["configured"]) < _SIGMAS * e["std"]]
     return Card(
         "Torsional stiffness",
         math.nan,
         "The torsion under load is not as configured.",
-        tuple(
-            (words(name), _beside(entry))
-            for name, entry in both.items()
-            if not abs(entry["value"] - entry["configured"]) < _SIGMAS * entry["std"]
-        ),
+        tuple((name, _beside(entry)) for name, entry in changed),
         _OWN["torsional_hardening"].inspect,
         setting=True,
     )
@@ -198,3 +193,37 @@ _OF_PARAMETER: dict[str, Callable[[_Entries, Drive], Card]] = {
     "tooth_compliance": _compliance,
     "cup_compliance": _compliance,
 }
+
+
+# Limits ---
+
+
+class Gauge(NamedTuple):
+    """A value beside its limit, in words; `share` of the limit that it has [-]."""
+
+    name: str
+    state: Beside
+    text: str
+    share: float
+
+
+def gauges(answer: Answer) -> tuple[Gauge, ...]:
+    """Error and eccentricity beside their limits, as far as there is something to tell."""
+    found, allowed = [], answer.diagnosis.allowed
+    if answer.normal is not None:
+        name = "Transmission error without torsion, peak to peak"
+        found.append(_gauge(name, "accuracy", answer.normal))
+    if answer.tolerance is not None and allowed is not None:
+        found.append(_gauge("Eccentricity", f"limit by {words(allowed.criterion)}", answer.tolerance))
+    return tuple(found)
+
+
+def worst(found: Sequence[Gauge]) -> str:
+    """Colour of a joint with these gauges, as far as they are known."""
+    known = [COLOURS[gauge.state] for gauge in found if gauge.state != "open"]
+    return min(known, key=STATES.index, default=GREY)
+
+
+def _gauge(name: str, limit: str, one: Limited) -> Gauge:
+    value, most = si(one.value, one.std, one.unit), size(one.limit, one.unit)
+    return Gauge(name, one.place, f"{value}; {limit} {most}: {_TOLD[one.place]}", one.value / one.limit)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import hashlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import metadata
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -24,10 +26,8 @@ from hd_diag.formatting import number, percent, words
 from hd_diag.records.joint_record import InputRecord
 from hd_diag.replay.versions import running
 from hd_diag.report import stages, torsion
-from hd_diag.report.advice import Card, cards
-from hd_diag.report.ladder import Rung, benches, ladder
-from hd_diag.report.limits import AMBER, Gauge, gauges, worst
-from hd_diag.report.stages import BinnedResiduals, OverTime, Stages
+from hd_diag.report.advice import AMBER, Card, Gauge, cards, gauges, worst
+from hd_diag.report.stages import BinnedResiduals, OverTime, Rung, Stages, benches, ladder
 from hd_diag.report.teeth import TeethOverTurn, teeth_over_turn
 
 _LINE_SHARE = 0.2  # of a cause's mean square from which a peak of its spectrum is its order
@@ -36,6 +36,7 @@ _MOST_MARKS = 2  # orders marked for one cause
 _NOT_OF_THE_DRIVE = ("output_joint", "limits.", "tolerance.", *SIGNALS)
 _ORDERS = (8.0, 40.0)  # least and greatest end of the spectrum
 _TURN = 2.0 * np.pi
+_PART = 1 << 20  # of a file, read at a time [byte]
 
 
 class Fact(NamedTuple):
@@ -57,11 +58,10 @@ class Mark(NamedTuple):
 class Judgement:
     """What measured angles add to the model's own side.
 
-    `first` is the verdict's beginning, how bad the joint is, as a sentence of its own, `rest` what follows;
-    `gauges` are the numbers of that, `state` its colour, `kind` the judgement.
-    The diagnosis is kept without its fit, whose columns are large. `classes` are causes that the record
-    cannot tell from each other, `orders` order and amplitude [rad] of the residual by stage, `stretches` how
-    many the ladder's data were cut into.
+    The diagnosis without its fit, whose columns are large; the verdict's beginning, how bad the joint is, as
+    a sentence of its own, and the rest of it; `state` is a colour, `kind` the judgement. `classes` are causes
+    that the record cannot tell from each other, `orders` order and amplitude [rad] of the residual by stage,
+    `stretches` how many the ladder's data were cut into.
     """
 
     diagnosis: Diagnosis
@@ -86,9 +86,8 @@ class Judgement:
 class JointReport:
     """One joint's part of a report; without a judgement where nothing could be judged.
 
-    `ripple` are the lines of its torque, of a joint with one angle.
-
-    `best` says whose numbers the teeth and the torsion curve are: the refitted drive's or the configured's.
+    `best` says whose numbers the teeth and the torsion curve are: the refitted drive's or the configured's;
+    `ripple` are the lines of the torque of a joint with one angle.
     """
 
     name: str
@@ -204,11 +203,14 @@ def _judgement(
 ) -> Judgement:
     diagnosis, found_gauges = answer.diagnosis, gauges(answer)
     marks = _marks(diagnosis)
-    top = 1.2 * max((mark.order for mark in marks), default=0.0)
-    highest = min(max(top, _ORDERS[0]), _ORDERS[1])
+    highest = float(np.clip(1.2 * max((mark.order for mark in marks), default=0.0), *_ORDERS))
+    whole, first = sentence(answer), first_words(answer)
+    rest = whole.removeprefix(first).lstrip("; ")
+    alone = rest in ("", ".")
     return Judgement(
         replace(diagnosis, found=None),
-        *_first_and_rest(answer),
+        whole if alone else f"{first[:1].upper()}{first[1:]}.",
+        "" if alone else f"{rest[:1].upper()}{rest[1:]}",
         worst(found_gauges) if answer.judgement != "misfit" else AMBER,
         found_gauges,
         answer.judgement,
@@ -223,15 +225,6 @@ def _judgement(
         tuple(ladder(diagnosis, found.residual[stages.NOMINAL], fitted, rng)),
         int(fitted[-1].data.block[-1]) + 1 if fitted else 0,
     )
-
-
-def _first_and_rest(answer: Answer) -> tuple[str, str]:
-    """The verdict as two sentences."""
-    whole, first = sentence(answer), first_words(answer)
-    rest = whole.removeprefix(first).lstrip("; ")
-    if rest in ("", "."):
-        return whole, ""
-    return f"{first[:1].upper()}{first[1:]}.", f"{rest[:1].upper()}{rest[1:]}"
 
 
 def _marks(diagnosis: Diagnosis) -> list[Mark]:
@@ -260,3 +253,30 @@ def _own_orders(angle: Floats, part: Floats, name: str) -> list[Mark]:
         marks.append(Mark(float(order[at]), name, float(strength[at])))
         strength = np.where(np.abs(order - order[at]) < width, 0.0, strength)
     return marks
+
+
+# Files ---
+
+
+def sources(bags: Sequence[Path]) -> list[Fact]:
+    """Every file of some bags with its SHA-256; OSError where one cannot be read."""
+    return [
+        Fact(f"{bag.resolve().name}/{name}" if bag.is_dir() else name, f"SHA-256 {digest}")
+        for bag in bags
+        for name, digest in digests(bag).items()
+    ]
+
+
+def digests(path: Path) -> dict[str, str]:
+    """SHA-256 of a file, or of every file of a folder, by name."""
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    return {file.name: sha256(file).hex() for file in files if file.is_file()}
+
+
+def sha256(file: Path) -> bytes:
+    """SHA-256 of a file, read a part at a time."""
+    digest = hashlib.sha256()
+    with file.open("rb") as opened:
+        while part := opened.read(_PART):
+            digest.update(part)
+    return digest.digest()

@@ -1,4 +1,4 @@
-"""A record beside the model in its stages, as configured, refitted and extended, binned for pictures."""
+"""A record beside the model in its stages, as configured, refitted and extended: binned, and as a ladder."""
 
 from __future__ import annotations
 
@@ -11,22 +11,39 @@ from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.extension import running_residual
 from hd_diag.diagnosis.fit import fit_parameters
-from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
+from hd_diag.diagnosis.fit.design import solve
+from hd_diag.diagnosis.fit.joint_refinement import settle
+from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.refit import usable
 from hd_diag.diagnosis.record import Record
 from hd_diag.drive import Drive, transmission_error
 from hd_diag.effects.order_spectrum import spectrum
-from hd_diag.report.binned import Band, Envelope, band, envelope, strongest
+from hd_diag.formatting import words
 from hd_diag.report.teeth import strongest_torque
 
 NOMINAL, REFIT, EXTENDED = "as configured", "refitted", "extended"
 
-_ANGLE_BINS = 72
-_TORQUE_BINS = 40
+LOW, HIGH = 0.1, 0.9
+"""Quantiles between which a band's spread lies [-]."""
+
+_LEAST = 5  # samples in a bin below which it gets no mean
+_ANGLE_BINS, _TORQUE_BINS = 72, 40
 _STRETCHES = 240
 _SPECTRUM_POINTS = 600
 _TURN = 2.0 * np.pi
 _GRID_ANGLES, _GRID_TORQUES = 48, 41
+_DRAWS = 2000
+_INTERVAL = (0.025, 0.975)
+
+
+class Band(NamedTuple):
+    """Bins of samples, shape (bins,): center, mean and quantiles, nan where too few; number of samples."""
+
+    center: Floats
+    mean: Floats
+    low: Floats
+    high: Floats
+    samples: Integers
 
 
 @dataclass(frozen=True)
@@ -62,9 +79,9 @@ class BinnedResiduals(NamedTuple):
 class OverTime(NamedTuple):
     """Torque [N m], speed of the input [rad/s] and the stages' residuals [rad] along a record [s]."""
 
-    torque: Envelope
-    speed: Envelope
-    residual: dict[str, Envelope]
+    torque: Band
+    speed: Band
+    residual: dict[str, Band]
 
 
 def stages(diagnosis: Diagnosis, plain: LinearisedFit | None) -> Stages:
@@ -120,6 +137,7 @@ def over_torque(found: Stages) -> BinnedResiduals:
 def _compared(
     found: Stages, rows: Integers, place: Floats, edges: Floats, level: Floats | float
 ) -> BinnedResiduals:
+    """Of some rows the means in bins of a place; a level is taken off what was measured."""
     torque = found.record.torque[rows]
     return BinnedResiduals(
         band(place, found.measured[rows] - level, edges),
@@ -141,3 +159,107 @@ def over_time(found: Stages) -> OverTime:
     torque, speed = (envelope(time, c, _STRETCHES) for c in (found.record.torque, found.record.speed))
     residual = {name: envelope(time, rest, _STRETCHES) for name, rest in found.residual.items()}
     return OverTime(torque, speed, residual)
+
+
+# Bins ---
+
+
+def band(
+    place: Floats,
+    value: Floats,
+    edges: Floats,
+    ends: tuple[float, float] = (LOW, HIGH),
+    least: int = _LEAST,
+) -> Band:
+    """Means and spread of samples, shape (n,), in bins with rising edges, shape (bins + 1,).
+
+    The spread lies between two quantiles; a bin needs so many samples at least.
+    """
+    order = np.argsort(place, kind="stable")
+    starts = np.searchsorted(place[order], edges)
+    starts[-1] = np.searchsorted(place[order], edges[-1], side="right")
+    table = np.full((3, edges.size - 1), np.nan)
+    for k, part in enumerate(np.split(value[order], starts)[1:-1]):
+        if part.size >= least:
+            table[:, k] = part.mean(), *np.quantile(part, ends)
+    return Band(0.5 * (edges[:-1] + edges[1:]), table[0], table[1], table[2], np.diff(starts))
+
+
+def envelope(place: Floats, value: Floats, stretches: int) -> Band:
+    """From the least to the greatest value over stretches of equal length; the place, shape (n,), rises."""
+    known = np.isfinite(value)
+    edges = np.linspace(place[0], place[-1], stretches + 1)
+    return band(place[known], value[known], edges, (0.0, 1.0), 1)
+
+
+def strongest(place: Floats, value: Floats, highest: float, count: int) -> tuple[Floats, Floats]:
+    """Places and values of the greatest in each of `count` equal intervals from 0 to `highest`."""
+    index = np.minimum((place / highest * count).astype(np.int64), count - 1)
+    order = np.lexsort((-value, index))
+    first = order[np.unique(index[order], return_index=True)[1]]
+    return place[first], value[first]
+
+
+# Ladder ---
+
+
+class Rung(NamedTuple):
+    """One model of the ladder: rms residual of stretches predicted by a fit to all others [rad].
+
+    The gain is the share of the rung before's mean square that it explains; nan on the first. Intervals are
+    of 95 %.
+    """
+
+    name: str
+    rms: float
+    low: float
+    high: float
+    gain: float = float("nan")
+    gain_low: float = float("nan")
+    gain_high: float = float("nan")
+
+
+def benches(diagnosis: Diagnosis) -> list[LinearisedFit]:
+    """The record with each fitted rung's model, parameters settled; empty where nothing was fitted."""
+    if diagnosis.found is None or diagnosis.refitted is None:
+        return []
+    whole, chosen = diagnosis.found.fit, diagnosis.found.chosen
+    start = diagnosis.refitted.parameters
+    fewer = [settle(whole.moved(start), chosen[:count]) for count in range(len(chosen))]
+    return [*fewer, whole]
+
+
+def ladder(
+    diagnosis: Diagnosis, nominal: Floats, fitted: list[LinearisedFit], rng: np.random.Generator
+) -> list[Rung]:
+    """Rungs from the configured model, whose residual [rad] is given, over the benches' to the extended one.
+
+    Stretches are drawn for the intervals.
+    """
+    if diagnosis.found is None or not fitted:
+        return []
+    chosen = diagnosis.found.chosen
+    names = [NOMINAL, REFIT, *(f"+ {words(effect.name)}" for effect, _ in chosen)]
+    residuals = [nominal, *(_unseen(bench, chosen[:count]) for count, bench in enumerate(fitted))]
+    block = fitted[-1].data.block
+    squares, counts = np.stack([np.bincount(block, rest**2) for rest in residuals]), np.bincount(block)
+    draws = rng.integers(0, counts.size, (_DRAWS, counts.size))
+    drawn, total = squares[:, draws].sum(axis=2), squares.sum(axis=1)
+    spread = np.quantile(np.sqrt(drawn / counts[draws].sum(axis=1)), _INTERVAL, axis=1)
+    gains = [1.0 - total[1:] / total[:-1], *np.quantile(1.0 - drawn[1:] / drawn[:-1], _INTERVAL, axis=1)]
+    rms = np.stack([np.sqrt(total / block.size), *spread], axis=1).tolist()
+    gained = [[], *np.stack(gains, axis=1).tolist()]
+    return [Rung(name, *of_rms, *of_gain) for name, of_rms, of_gain in zip(names, rms, gained, strict=True)]
+
+
+def _unseen(bench: LinearisedFit, chosen: Chosen) -> Floats:
+    """Residual of every stretch by coefficients fitted to the others [rad]."""
+    normal = bench.design(chosen)
+    gram, moment = normal.gram.sum(axis=0), normal.moment.sum(axis=0)
+    columns = np.concatenate((bench.always(), bench.joined(chosen)), axis=1)
+    rest = np.empty(bench.residual.size)
+    for block in range(normal.square.size):
+        rows = bench.data.block == block
+        beta = solve(gram - normal.gram[block], moment - normal.moment[block])
+        rest[rows] = bench.residual[rows] - columns[rows] @ beta
+    return rest

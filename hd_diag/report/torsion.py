@@ -9,8 +9,7 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.drive import Drive
 from hd_diag.formatting import number
-from hd_diag.report.binned import Band, band
-from hd_diag.report.stages import EXTENDED, Stages, mean_error
+from hd_diag.report.stages import EXTENDED, Band, Stages, band, mean_error
 
 # Ends of the ranges of K1, K2 and K3 over the rated torque [-]. The catalogue of a size-25, ratio-100 gear
 # has its knees at T1 = 14 and T2 = 48 N m, these shares of the example drive's 56 N m; K3 ends at 100 N m.

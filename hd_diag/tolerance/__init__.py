@@ -1,8 +1,6 @@
 """What errors of assembly a drive may have: limits on the eccentricity, and what a tolerance yields.
 
-``evaluation`` everything that is judged of many moments at once (compiled in ``kernel``) · ``criteria`` which
-of it is judged · ``hills`` the greatest value over directions and angles · ``limit`` the eccentricity at
+``evaluation`` what is judged of many moments at once (compiled in ``kernel``) · ``limit`` the eccentricity at
 which a criterion is first exceeded · ``assembly`` assemblies drawn from tolerances and the share within the
-limits · ``sensitivity`` which tolerance matters · ``study`` all of it for one joint · ``document`` a study as
-JSON.
+limits · ``sensitivity`` which tolerance matters · ``study`` all of it for one joint, and as JSON.
 """

@@ -16,8 +16,7 @@ from scipy import stats
 from hd_diag.arrays import Floats
 from hd_diag.drive import Drive
 from hd_diag.process_pool import ProcessPool
-from hd_diag.tolerance.criteria import over_turns
-from hd_diag.tolerance.evaluation import evaluate, reference_stiffness
+from hd_diag.tolerance.evaluation import evaluate, over_turns, reference_stiffness
 
 FACTORS = (
     "eccentricity",
@@ -82,8 +81,8 @@ class Assembly:
 class Population:
     """What assemblies are drawn from and judged by.
 
-    The drive as designed (its own eccentricity and runout do not count), spreads by the names of the
-    quantities, torques on the cup (q,) [N m], wave generator angles of a turn.
+    The drive as designed, whose eccentricity and runout do not count; spreads by the names of the quantities;
+    torques on the cup (q,) [N m]; number of wave generator angles of a turn.
     """
 
     drive: Drive
@@ -123,21 +122,25 @@ def draw(population: Population, numbers: Floats) -> Assembly:
         spread = population.spreads[name]
         return spread.size * float(_unit(name, spread, u[name]))
 
-    drive, mesh = population.drive, population.drive.mesh
-    datum = mesh.geometry.circular_spline_datum + drawn("circular_spline_datum")
+    drive, mesh, geometry = population.drive, population.drive.mesh, population.drive.mesh.geometry
+    datum = geometry.circular_spline_datum + drawn("circular_spline_datum")
     own = dataclasses.replace(
         mesh,
-        geometry=dataclasses.replace(mesh.geometry, circular_spline_datum=datum),
+        geometry=dataclasses.replace(geometry, circular_spline_datum=datum),
         tooth_compliance=mesh.tooth_compliance * (1.0 + drawn("tooth_compliance")),
         eccentricity=0.0,
         runout=cmath.rect(drawn("runout"), 2.0 * math.pi * u["runout.direction"]),
     )
     shape = population.spreads["eccentricity"]
     size, within = _unit("eccentricity", shape, np.array([u["eccentricity"], WITHIN]))
+    # Every slot's own deviation, from a stream of random numbers that the one number chooses.
+    stream = np.random.default_rng(int(u["pitch"] * 2.0**53)).random(geometry.circular_spline_teeth)
+    radius = geometry.curve.radius + 0.5 * (geometry.flexspline_root + geometry.flexspline_tip)
+    pitch = population.spreads["pitch"]
     return Assembly(
         dataclasses.replace(drive, mesh=own, cup_compliance=drive.cup_compliance + drawn("cup_compliance")),
         cmath.rect(float(size / within), 2.0 * math.pi * u["eccentricity.direction"]),
-        _slot_angles(population, u["pitch"]),
+        pitch.size / radius * _unit("pitch", pitch, np.clip(stream, _EDGE, 1.0 - _EDGE)),
     )
 
 
@@ -187,8 +190,7 @@ def yields(values: Floats, limits: Floats) -> tuple[Share, list[Share]]:
     Values (samples, criteria, t) as of :func:`judged`.
     """
     within = values <= limits[:, None]
-    each = [_share(within[:, k, :]) for k in range(limits.size)]
-    return _share(np.asarray(within.all(axis=1))), each
+    return _share(np.asarray(within.all(axis=1))), [_share(within[:, k]) for k in range(limits.size)]
 
 
 def tolerance_at(share: Share, tolerances: Floats, target: float) -> float:
@@ -212,15 +214,6 @@ def _unit(name: str, spread: Spread, numbers: float | Floats) -> Floats:
     return np.asarray(family[spread.distribution](np.asarray(numbers)), dtype=np.float64)
 
 
-def _slot_angles(population: Population, number: float) -> Floats:
-    """Every slot's own deviation, from a stream of random numbers that the one number chooses [rad]."""
-    geometry, spread = population.drive.mesh.geometry, population.spreads["pitch"]
-    stream = np.random.default_rng(int(number * 2.0**53))
-    numbers = np.clip(stream.random(geometry.circular_spline_teeth), _EDGE, 1.0 - _EDGE)
-    pitch_radius = geometry.curve.radius + 0.5 * (geometry.flexspline_root + geometry.flexspline_tip)
-    return spread.size / pitch_radius * _unit("pitch", spread, numbers)
-
-
 def _judged(task: tuple[Population, Floats, Floats]) -> Floats:
     population, numbers, tolerances = task
     return np.stack([worst(population, draw(population, row), tolerances) for row in numbers])
@@ -230,6 +223,5 @@ def _share(within: npt.NDArray[np.bool_]) -> Share:
     """Of booleans (samples, t)."""
     count, samples = within.sum(axis=0), within.shape[0]
     bounds = [stats.binomtest(int(k), samples).proportion_ci(_CONFIDENCE, "wilson") for k in count]
-    return Share(
-        count / samples, np.array([found.low for found in bounds]), np.array([found.high for found in bounds])
-    )
+    low, high = np.array([(found.low, found.high) for found in bounds]).T
+    return Share(count / samples, low, high)

@@ -9,15 +9,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 from scipy.optimize import brentq
 
-from hd_diag.arrays import Complexes, Floats
+from hd_diag.arrays import Complexes, Floats, Integers
 from hd_diag.drive import Drive
 from hd_diag.model.mesh import Mesh
 from hd_diag.model.torsion import torsion
-from hd_diag.tolerance.criteria import CRITERIA, NAMES, of_moments
-from hd_diag.tolerance.evaluation import evaluate, reference_stiffness
-from hd_diag.tolerance.hills import NARROWING, climbed, hills
+from hd_diag.tolerance.evaluation import CRITERIA, NAMES, evaluate, of_moments, reference_stiffness
 
 STEPS = 60
 """Steps of the eccentricity in which the first excess is looked for."""
@@ -34,8 +33,11 @@ _SCAN = (36, 4)
 _SEARCH, _SEARCH_OF_JUMPS = (72, 8), (72, 16)
 _TURN_DIRECTIONS, _TURN_PHASES = 4, 6  # within a slot pitch: of the eccentricity, of the wave generator
 
+_HILLS = 8  # local maxima that are climbed
+_ROUNDS, _CLOSER, _BESIDE = 6, 3, 3  # of a climb: so many grids, each so much finer, points to either side
+
 RESOLUTION = tuple(
-    extent / points / NARROWING for extent, points in zip((2.0 * math.pi, 1.0), _SEARCH, strict=True)
+    extent / points / _CLOSER**_ROUNDS for extent, points in zip((2.0 * math.pi, 1.0), _SEARCH, strict=True)
 )
 """Final step of the angle from the long axis [rad] and of the wave generator [slot pitch]."""
 
@@ -57,10 +59,9 @@ class Worst:
 class EccentricityLimit:
     """Where a criterion is first exceeded.
 
-    The largest eccentricity that keeps within the limit in all directions [m], nan if the limit is not
-    reached; the worst there, else at the largest eccentricity looked at; the criterion's value `without`
-    eccentricity; `scanned` (2, STEPS + 1): eccentricities [m] and, to coarse steps of direction and angle,
-    the values.
+    The largest eccentricity within the limit in all directions [m], nan if the limit is not reached; the
+    worst there, else at the largest one looked at; the value `without` eccentricity; `scanned` (2, STEPS +
+    1): eccentricities [m] and the values on a coarse grid of direction and angle.
     """
 
     criterion: str
@@ -100,13 +101,13 @@ def first_excess(
 
     The drive's own eccentricity does not count; its runout stays. The torque is that on the cup [N m].
 
-    The value need not rise with the eccentricity: it is looked at in :data:`STEPS` steps first, and solved
-    within the first step that brings an excess (Brent); one that comes and goes within a step is missed. A
-    criterion that jumps is looked at in :data:`FINE_STEPS` parts of that step before.
+    The value need not rise with the eccentricity: of :data:`STEPS` steps the first that brings an excess is
+    solved (Brent), for a criterion that jumps within one of its :data:`FINE_STEPS` parts. An excess that
+    comes and goes within a step is missed.
     """
     search = _Search(drive, cup_torque, criterion)
     eccentricity = np.linspace(0.0, largest, STEPS + 1)
-    scanned = np.stack((eccentricity, [search.scan(e) for e in eccentricity]))
+    scanned = np.stack((eccentricity, [search.scan(e)[search.index] for e in eccentricity]))
     found = search.exceeded(limit, scanned)
     worst = search.worst(found if math.isfinite(found) else largest)
     return EccentricityLimit(criterion, limit, found, worst, search.worst(0.0).value, scanned)
@@ -117,11 +118,11 @@ def allowed(
 ) -> tuple[float, str] | None:
     """The least of all criteria's :func:`first_excess` [m] and its criterion, without solving for the others.
 
-    Limits by the names of the criteria; None where none is reached.
+    Limits by the names of the criteria. None where none is reached.
     """
     searches = [_Search(drive, cup_torque, name) for name in NAMES]
     eccentricity = np.linspace(0.0, largest, STEPS + 1)
-    values = np.stack([searches[-1].scan_of_all(e) for e in eccentricity], axis=1)
+    values = np.stack([searches[0].scan(e) for e in eccentricity], axis=1)
     above = [row > limits[name] for row, name in zip(values, NAMES, strict=True)]
     first = [int(np.argmax(one)) if one.any() else STEPS for one in above]
     least = None
@@ -176,23 +177,16 @@ class _Search:
 
     def __init__(self, drive: Drive, cup_torque: float, criterion: str) -> None:
         self.drive, self.torque = drive, np.array([cup_torque])
-        self.pitch, self.of_turn = drive.mesh.geometry.slot_pitch, criterion == "transmission_error"
-        self.index = NAMES.index(criterion)
+        self.pitch, self.index = drive.mesh.geometry.slot_pitch, NAMES.index(criterion)
         self.jumps = CRITERIA[self.index].jumps
-        self.grid = _SEARCH_OF_JUMPS if self.jumps else _SEARCH
         self.reference = reference_stiffness(drive, self.torque)
 
-    def scan(self, eccentricity: float) -> float:
-        """Worst over a coarse grid; of a turn, nearly the worst."""
-        if not self.of_turn:
-            return float(self._values(eccentricity, _grid(*_SCAN)).max())
+    def scan(self, eccentricity: float) -> Floats:
+        """Worst of all criteria over a coarse grid (6,); of the last, that of a turn, nearly the worst."""
         around = 2.0 * math.pi * (np.arange(_SCAN[0]) + 0.37) / _SCAN[0]  # meets several tooth phases
         beta = self._torsion(replace(self.drive.mesh, eccentricity=eccentricity), around[:, None])
-        return float(np.ptp(np.where(np.isnan(beta), np.inf, beta)))
-
-    def scan_of_all(self, eccentricity: float) -> Floats:
-        """The same of all criteria, in the order of ``criteria.CRITERIA``; this one is that of a turn."""
-        return np.append(self._moments(eccentricity, _grid(*_SCAN)).max(axis=1), self.scan(eccentricity))
+        width = np.ptp(np.where(np.isnan(beta), np.inf, beta))
+        return np.append(self._moments(eccentricity, _grid(*_SCAN)).max(axis=1), width)
 
     def exceeded(self, limit: float, scanned: Floats) -> float:
         """The eccentricity at which a limit is first exceeded, nan if it is not."""
@@ -205,31 +199,28 @@ class _Search:
 
     def worst(self, eccentricity: float) -> Worst:
         """Worst over all directions and angles."""
-        return self._of_turn(eccentricity) if self.of_turn else self._of_moment(eccentricity)
+        if NAMES[self.index] == "transmission_error":
+            directions = self.pitch * np.arange(_TURN_DIRECTIONS) / _TURN_DIRECTIONS
+            widths = (self._width(eccentricity, float(direction)) for direction in directions)
+            return max(widths, key=lambda worst: worst.value)
 
-    def _values(self, eccentricity: float, points: Floats) -> Floats:
-        """Criterion (n,) at points (n, 2): angle from the long axis [rad], phase in a slot pitch [-]."""
-        return np.asarray(self._moments(eccentricity, points)[self.index])
+        def value(points: Floats) -> Floats:
+            return np.asarray(self._moments(eccentricity, points)[self.index])
+
+        grid = _SEARCH_OF_JUMPS if self.jumps else _SEARCH
+        points = _grid(*grid)
+        step = np.array([2.0 * math.pi / grid[0], 1.0 / grid[1]])
+        best, most = _climbed(value, points[_hills(value(points).reshape(grid))], step)
+        turn = self.pitch * float(best[1])
+        return Worst(most, (float(best[0]) + turn) % (2.0 * math.pi), turn)
 
     def _moments(self, eccentricity: float, points: Floats) -> Floats:
-        """All criteria of a moment (5, n)."""
+        """Criteria (5, n) at points (n, 2): angle from the long axis [rad], phase in a slot pitch [-]."""
         turn, mesh = self.pitch * points[:, 1], self.drive.mesh
         towards: Complexes = np.exp(1j * (points[:, 0] + turn))
         turning: Complexes = np.exp(1j * turn)
         found = evaluate(mesh, turn, eccentricity * towards + mesh.runout * turning, self.torque)
         return of_moments(found, self.drive.cup_compliance, self.reference)[:, :, 0]
-
-    def _of_moment(self, eccentricity: float) -> Worst:
-        points = _grid(*self.grid)
-        tops = points[hills(self._values(eccentricity, points).reshape(self.grid))]
-        step = np.array([2.0 * math.pi / self.grid[0], 1.0 / self.grid[1]])
-        best, value = climbed(lambda p: self._values(eccentricity, p), tops, step)
-        turn = self.pitch * float(best[1])
-        return Worst(value, (float(best[0]) + turn) % (2.0 * math.pi), turn)
-
-    def _of_turn(self, eccentricity: float) -> Worst:
-        directions = self.pitch * np.arange(_TURN_DIRECTIONS) / _TURN_DIRECTIONS
-        return max((self._width(eccentricity, float(d)) for d in directions), key=lambda worst: worst.value)
 
     def _width(self, eccentricity: float, direction: float) -> Worst:
         """Peak to peak of a turn at one direction of the eccentricity, and where the greatest torsion is."""
@@ -241,8 +232,8 @@ class _Search:
         if not np.isfinite(beta).all():
             return Worst(math.inf, direction, float(points[np.argmin(np.isfinite(beta)), 0]))
         spacing = np.array([step])
-        place, high = climbed(lambda p: self._torsion(mesh, p), points[hills(beta)], spacing)
-        _, low = climbed(lambda p: -self._torsion(mesh, p), points[hills(-beta)], spacing)
+        place, high = _climbed(lambda p: self._torsion(mesh, p), points[_hills(beta)], spacing)
+        _, low = _climbed(lambda p: -self._torsion(mesh, p), points[_hills(-beta)], spacing)
         return Worst(high + low, direction, float(place[0]) % (2.0 * math.pi))
 
     def _torsion(self, mesh: Mesh, points: Floats) -> Floats:
@@ -255,3 +246,29 @@ def _grid(around: int, phases: int) -> Floats:
         2.0 * math.pi * np.arange(around) / around, np.arange(phases) / phases, indexing="ij"
     )
     return np.column_stack((angle.ravel(), phase.ravel()))
+
+
+def _hills(values: Floats) -> Integers:
+    """Flat indices of the greatest local maxima on a grid over a circle or a torus: at most eight."""
+    beside = ndimage.generate_binary_structure(values.ndim, 1)
+    index = np.flatnonzero(values >= ndimage.maximum_filter(values, footprint=beside, mode="wrap"))
+    order = np.argsort(-values.ravel()[index], kind="stable")
+    return np.asarray(index[order[:_HILLS]], dtype=np.int64)
+
+
+def _climbed(function: Callable[[Floats], Floats], centers: Floats, step: Floats) -> tuple[Floats, float]:
+    """Place (d,) of the greatest value near some places (m, d), and the value, by grids that narrow.
+
+    The function takes points (n, d) and gives values (n,); the first grids have so many steps (d,).
+    """
+    dimensions = centers.shape[1]
+    side = np.linspace(-1.0, 1.0, 2 * _BESIDE + 1)
+    offsets = np.stack(np.meshgrid(*[side] * dimensions, indexing="ij"), axis=-1).reshape(-1, dimensions)
+    for _ in range(_ROUNDS):
+        points = centers[:, None, :] + offsets * step
+        values = function(points.reshape(-1, dimensions)).reshape(points.shape[:2])
+        best = np.argmax(values, axis=1)
+        centers = points[np.arange(best.size), best]
+        step = step / _CLOSER
+    top = int(np.argmax(values.max(axis=1)))
+    return centers[top], float(values[top].max())

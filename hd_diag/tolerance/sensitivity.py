@@ -12,7 +12,7 @@ from scipy.stats import qmc, sobol_indices
 
 from hd_diag.arrays import Floats
 
-_CONFIDENCE = 0.95
+_INTERVAL = 100.0 * np.array([0.5 * (1.0 - 0.95), 0.5 * (1.0 + 0.95)])  # [%]
 _RESAMPLES = 200
 # scipy has renamed the argument.
 _GENERATOR = "rng" if "rng" in inspect.signature(qmc.Sobol).parameters else "seed"
@@ -63,11 +63,10 @@ def indices(
     blocks = np.moveaxis(output.reshape(factors + 2, samples, -1), 2, 1)  # (2 + factors, outputs, samples)
     finite = np.asarray(np.isfinite(blocks).all(axis=(0, 2)))
     blocks = np.where(finite[:, None], blocks, 0.0)
-    estimate = _estimate(blocks)
-    again = _again(blocks, rng)
-    ends = 100.0 * np.array([0.5 * (1.0 - _CONFIDENCE), 0.5 * (1.0 + _CONFIDENCE)])
-    low, high = np.percentile(again, ends, axis=0)
-    first_order, total_order = np.where(finite[:, None], np.stack((estimate, low, high), axis=1), math.nan)
+    again = [_estimate(blocks[:, :, rng.integers(samples, size=samples)]) for _ in range(_RESAMPLES)]
+    low, high = np.percentile(again, _INTERVAL, axis=0)
+    found = np.stack((_estimate(blocks), low, high), axis=1)
+    first_order, total_order = np.where(finite[:, None], found, math.nan)
     return Indices(SobolEstimate(*first_order), SobolEstimate(*total_order))
 
 
@@ -76,9 +75,3 @@ def _estimate(blocks: Floats) -> Floats:
     found = sobol_indices(func={"f_A": blocks[0], "f_B": blocks[1], "f_AB": blocks[2:]}, n=blocks.shape[2])
     shape = blocks.shape[1], blocks.shape[0] - 2
     return np.stack((found.first_order.reshape(shape), found.total_order.reshape(shape)))
-
-
-def _again(blocks: Floats, rng: np.random.Generator) -> Floats:
-    """Estimates of samples drawn again, (resamples, 2, outputs, factors)."""
-    n = blocks.shape[2]
-    return np.stack([_estimate(blocks[:, :, rng.integers(n, size=n)]) for _ in range(_RESAMPLES)])

@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.config.parameters import Value, nested, of_joint
+from hd_diag.diagnosis.diagnosis import Allowed, Diagnosis
+from hd_diag.diagnosis.judgement import Answer
 from hd_diag.drive import Drive
+from hd_diag.formatting import json_ready
 from hd_diag.process_pool import ProcessPool
-from hd_diag.tolerance import assembly, sensitivity
+from hd_diag.tolerance import assembly, limit, sensitivity
 from hd_diag.tolerance.assembly import FACTORS, Population, Share, Spread
-from hd_diag.tolerance.criteria import NAMES, cup_torques
-from hd_diag.tolerance.evaluation import warm_up
-from hd_diag.tolerance.limit import EccentricityLimit, across_long_axis, check_largest, first_excess
+from hd_diag.tolerance.evaluation import CRITERIA, NAMES, cup_torques, warm_up
+from hd_diag.tolerance.limit import EccentricityLimit, first_excess
 from hd_diag.tolerance.sensitivity import Indices
 
 # Is given a part of the work and its number of steps; gives what is called after each step.
 Progress = Callable[[str, int], Callable[[], None]]
 
-TOLERANCES = 13
-"""Eccentricity tolerances of a yield curve, from zero to twice the configured one, the middle one."""
-
+_TOLERANCES = 13  # of a yield curve, from zero to twice the configured one, the middle one
 _ALL_TEETH = 0.0  # [m]; overlap from which no rotation frees all teeth
 
 
@@ -32,6 +34,24 @@ def limits_and_spreads(flat: Mapping[str, Value], joint: str) -> tuple[dict[str,
     own = nested(of_joint(flat, joint))["tolerance"]
     limits = own.pop("limits")
     return limits, {name: Spread(**each) for name, each in own.items()}
+
+
+def with_allowed(found: Diagnosis, flat: Mapping[str, Value], joint: str) -> Diagnosis:
+    """The diagnosis with what the configured drive may have, as ``hd-diag tolerance`` says it.
+
+    At the rated torque, within the joint's limits among parameters by their full names. As it is where no
+    eccentricity is known, no limit is reached, or the teeth cannot bear the torque.
+    """
+    if not Answer(found).eccentricity > 0.0:
+        return found
+    drive, (limits, _) = found.configured, limits_and_spreads(flat, joint)
+    warm_up()
+    try:
+        torque = float(cup_torques(drive, np.array([drive.rated_torque]))[0])
+        least = limit.allowed(drive, torque, limits, limit.largest_eccentricity(drive))
+    except ValueError:
+        return found
+    return replace(found, allowed=Allowed(*least)) if least else found
 
 
 @dataclass(frozen=True)
@@ -57,7 +77,7 @@ class Question:
     target: float
 
     def __post_init__(self) -> None:
-        check_largest(self.drive, self.largest)
+        limit.check_largest(self.drive, self.largest)
         cup_torques(self.drive, self.torque)
 
     @property
@@ -70,7 +90,7 @@ class Question:
 class Interference:
     """Eccentricity at which teeth first interfere [m], nan where they do not; three readings.
 
-    `across`: the paper's own arrangement (:func:`across_long_axis`), whose least backlash without
+    `across`: the paper's own arrangement (:func:`limit.across_long_axis`), whose least backlash without
     eccentricity is `clearance` [m]. `any_direction`: the same lobe, over all directions and angles.
     `all_teeth`: no rotation of the cup frees all teeth, the interference flag of a mesh.
     """
@@ -86,8 +106,8 @@ class Yield:
     """What assemblies come out like.
 
     Eccentricity `tolerances` (t,) that 99.73 % of the assemblies keep within, and the `configured` one [m];
-    shares within all limits `together` and within `each`, in the order of ``criteria.CRITERIA``; the largest
-    tolerance `at_target` [m], nan if there is none.
+    shares within all limits `together` and within `each`, in the order of `CRITERIA`; the largest tolerance
+    `at_target` [m], nan if there is none.
     """
 
     tolerances: Floats
@@ -99,7 +119,7 @@ class Yield:
 
 @dataclass(frozen=True)
 class Study:
-    """Answers to a question; `limits` by torque, in the order of ``criteria.CRITERIA``."""
+    """Answers to a question; `limits` by torque, in the order of `CRITERIA`."""
 
     question: Question
     interference: Interference
@@ -110,8 +130,8 @@ class Study:
     @property
     def allowed(self) -> EccentricityLimit | None:
         """The limit that is reached first, at any torque; none if none is reached."""
-        reached = [limit for row in self.limits for limit in row if limit.reached]
-        return min(reached, key=lambda limit: limit.eccentricity, default=None)
+        reached = [each for row in self.limits for each in row if each.reached]
+        return min(reached, key=lambda each: each.eccentricity, default=None)
 
 
 def study(question: Question, pool: ProcessPool, progress: Progress) -> Study:
@@ -121,12 +141,29 @@ def study(question: Question, pool: ProcessPool, progress: Progress) -> Study:
     """
     warm_up()  # here first: other processes then read the kernels from the disk
     population = Population(question.drive, question.spreads, question.cup_torque)
+    # Without a configured eccentricity the yield curve goes as far as limits are looked for.
+    tolerances = np.linspace(0.0, 2.0 * population.tolerance or question.largest, _TOLERANCES)
     if question.samples or question.sensitivity_samples:
-        assembly.check(population, float(_tolerances(question, population)[-1]))
+        assembly.check(population, float(tolerances[-1]))
     interference, limits = _limits(question, pool, progress)
-    assemblies = _yield(question, population, pool, progress) if question.samples else None
-    indices = _sensitivity(question, population, pool, progress) if question.sensitivity_samples else None
-    return Study(question, interference, limits, assemblies, indices)
+    drawn = indices = None
+    if question.samples:
+        numbers = np.random.default_rng(question.seed).random((question.samples, len(FACTORS)))
+        done = progress("assemblies", assembly.chunks(question.samples))
+        values = assembly.judged(pool, population, numbers, tolerances, done)
+        together, each = assembly.yields(values, np.array([question.limits[name] for name in NAMES]))
+        at_target = assembly.tolerance_at(together, tolerances, question.target)
+        drawn = Yield(tolerances, population.tolerance, together, each, at_target)
+    if samples := question.sensitivity_samples:
+        step = progress("sensitivity", assembly.chunks(sensitivity.evaluations(samples, len(FACTORS))))
+        configured = np.array([population.tolerance])
+
+        def model(numbers: Floats) -> Floats:
+            return assembly.judged(pool, population, numbers, configured, step)[:, :, 0]
+
+        rng = np.random.default_rng(question.seed)
+        indices = sensitivity.indices(model, len(FACTORS), samples, rng)
+    return Study(question, interference, limits, drawn, indices)
 
 
 def _limits(
@@ -139,36 +176,102 @@ def _limits(
     tasks = [(question.drive, *one, question.largest) for one in asked]
     found = pool.map(_first_excess, tasks, progress("limits", len(tasks)))
     rows = [found[k : k + len(NAMES)] for k in range(len(free), len(found), len(NAMES))]
-    return Interference(*across_long_axis(question.drive, question.largest), *found[: len(free)]), rows
+    across = limit.across_long_axis(question.drive, question.largest)
+    return Interference(*across, *found[: len(free)]), rows
 
 
 def _first_excess(task: tuple[Drive, float, str, float, float]) -> EccentricityLimit:
     return first_excess(*task)
 
 
-def _tolerances(question: Question, population: Population) -> Floats:
-    """Of a yield curve; without a configured eccentricity it goes as far as limits are looked for."""
-    return np.linspace(0.0, 2.0 * population.tolerance or question.largest, TOLERANCES)
+# For others ---
 
 
-def _yield(question: Question, population: Population, pool: ProcessPool, progress: Progress) -> Yield:
-    tolerances = _tolerances(question, population)
-    numbers = np.random.default_rng(question.seed).random((question.samples, len(FACTORS)))
-    done = progress("assemblies", assembly.chunks(question.samples))
-    values = assembly.judged(pool, population, numbers, tolerances, done)
-    together, each = assembly.yields(values, np.array([question.limits[name] for name in NAMES]))
-    at_target = assembly.tolerance_at(together, tolerances, question.target)
-    return Yield(tolerances, population.tolerance, together, each, at_target)
+def document(joint: str, found: Study) -> dict[str, Any]:
+    """What `hd-diag tolerance --json` writes; SI units, null where a limit is not reached."""
+    question, first, allowed = found.question, found.interference, found.allowed
+    drawn, indices = found.assemblies, found.sensitivity
+
+    def told(one: EccentricityLimit) -> dict[str, Any]:
+        angle = limit.input_angle(question.drive, one.worst.wave_generator_angle)
+        degrees = math.degrees(one.worst.direction)
+        return {
+            "limit": one.limit,
+            "reached": one.reached,
+            "eccentricity": one.eccentricity,
+            "value_without": one.without,
+            "worst": {**asdict(one.worst), "direction_deg": degrees, "input_angle": angle},
+            "curve": {"eccentricity": one.scanned[0], "value": one.scanned[1]},
+        }
+
+    content = {
+        "schema": "hd_diag/tolerance/1",
+        "joint": joint,
+        "torques": question.torque,
+        "largest_eccentricity": question.largest,
+        "resolution": {
+            "eccentricity_step": question.largest / limit.STEPS,
+            "eccentricity_step_of_jumps": question.largest / limit.STEPS / limit.FINE_STEPS,
+            "eccentricity_root": limit.ROOT_TOLERANCE,
+            "angle_from_long_axis": limit.RESOLUTION[0],
+            "wave_generator_angle": limit.RESOLUTION[1] * question.drive.mesh.geometry.slot_pitch,
+        },
+        "interference": {
+            "across_long_axis": {"eccentricity": first.across, "clearance": first.clearance},
+            "any_direction": told(first.any_direction),
+            "all_teeth": told(first.all_teeth),
+        },
+        "limits": [
+            {"torque": torque, "criteria": {one.criterion: told(one) for one in row}}
+            for torque, row in zip(question.torque, found.limits, strict=True)
+        ],
+        "allowed": allowed and {"eccentricity": allowed.eccentricity, "criterion": allowed.criterion},
+        "assemblies": drawn
+        and {
+            "samples": question.samples,
+            "seed": question.seed,
+            "angles_per_turn": assembly.ANGLES,
+            "tolerances": drawn.tolerances,
+            "configured_tolerance": drawn.configured,
+            "target": question.target,
+            "tolerance_at_target": drawn.at_target,
+            "yield": dict(zip(("all", *NAMES), map(asdict, (drawn.together, *drawn.each)), strict=True)),
+            "spreads": {name: asdict(spread) for name, spread in question.spreads.items()},
+        },
+        "sensitivity": indices
+        and {
+            "samples": question.sensitivity_samples,
+            "criteria": {
+                criterion: {
+                    factor: {
+                        order: {name: values[k, i] for name, values in vars(estimate).items()}
+                        for order, estimate in vars(indices).items()
+                    }
+                    for i, factor in enumerate(FACTORS)
+                }
+                for k, criterion in enumerate(NAMES)
+            },
+        },
+        "units": {
+            "eccentricity": "m",
+            "direction": "rad, in the housing",
+            "angle": "rad",
+            "torque": "N m",
+            **{criterion.name: criterion.unit for criterion in CRITERIA},
+        },
+    }
+    return dict(json_ready(content))
 
 
-def _sensitivity(
-    question: Question, population: Population, pool: ProcessPool, progress: Progress
-) -> Indices:
-    samples, factors = question.sensitivity_samples, len(FACTORS)
-    done = progress("sensitivity", assembly.chunks(sensitivity.evaluations(samples, factors)))
-    configured = np.array([population.tolerance])
-
-    def model(numbers: Floats) -> Floats:
-        return assembly.judged(pool, population, numbers, configured, done)[:, :, 0]
-
-    return sensitivity.indices(model, factors, samples, np.random.default_rng(question.seed))
+def yielded(question: Question, drawn: Yield) -> str:
+    """What assemblies yield, in one sentence: so few may be drawn that it is not known."""
+    share, t = f"{100 * question.target:g} % of the assemblies are", drawn.together
+    if math.isfinite(drawn.at_target):
+        place = f"{share} within all limits up to a tolerance of {drawn.at_target * 1e6:.2f} µm"
+        configured = f"{drawn.configured * 1e6:.2f} µm configured"
+        return f"{place} ({100 * assembly.WITHIN:g} % of eccentricities are within it; {configured})."
+    if t.high[0] < question.target:
+        return f"{share} not within all limits even without eccentricity."
+    found, low, high = (f"{100 * each[0]:.1f}" for each in (t.share, t.low, t.high))
+    few = f"{question.samples} assemblies do not tell: {found} % are ({low} to {high} %)"
+    return f"Whether {share} within all limits without eccentricity, {few}; draw more (--samples)."

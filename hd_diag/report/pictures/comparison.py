@@ -14,11 +14,9 @@ from hd_diag.arrays import Floats
 from hd_diag.diagnosis.gain import Rms
 from hd_diag.diagnosis.ripple.ripple import Ripple
 from hd_diag.formatting import ARCSEC
-from hd_diag.report.binned import Band
-from hd_diag.report.ladder import Rung
 from hd_diag.report.pictures import canvas
 from hd_diag.report.pictures.canvas import GRID, INK, REFIT, STAGES, drawn, sheet, titled, turn
-from hd_diag.report.stages import BinnedResiduals, OverTime
+from hd_diag.report.stages import Band, BinnedResiduals, OverTime, Rung
 from hd_diag.report.torsion import Torsion, k_shown
 
 _TURN = 2.0 * np.pi
@@ -36,22 +34,9 @@ _ROOM = 1.9  # factor to the right of the largest for its number
 
 
 @drawn
-def over_angle(found: BinnedResiduals) -> Figure:
-    """Ripple over a turn of the wave generator above, residual below."""
-    figure, axes = _compared(found, 180.0 / np.pi)
-    turn(axes, "Wave generator angle [°]")
-    return figure
-
-
-@drawn
-def over_torque(found: BinnedResiduals) -> Figure:
-    """Error over torque above, residual below."""
-    figure, axes = _compared(found, 1.0)
-    axes.set_xlabel("Torque on the link [N m]")
-    return figure
-
-
-def _compared(found: BinnedResiduals, scale: float) -> tuple[Figure, Axes]:
+def binned(found: BinnedResiduals, by_torque: bool) -> Figure:
+    """Error over torque, or ripple over a turn of the wave generator, above, residual below."""
+    scale = 1.0 if by_torque else 180.0 / np.pi
     figure, (top, bottom) = sheet(4.6, 2, sharex=True)
     place = scale * found.measured.center
     _spread(top, place, found.measured, INK)
@@ -64,7 +49,11 @@ def _compared(found: BinnedResiduals, scale: float) -> tuple[Figure, Axes]:
     bottom.axhline(0.0, color=INK, lw=0.7)
     titled(top, "Transmission error [arcsec]")
     bottom.set_title("Residual: measured less simulated [arcsec]")
-    return figure, bottom
+    if by_torque:
+        bottom.set_xlabel("Torque on the link [N m]")
+    else:
+        turn(bottom, "Wave generator angle [°]")
+    return figure
 
 
 def _spread(axes: Axes, place: Floats, band: Band, colour: str) -> None:
@@ -77,11 +66,11 @@ def over_time(found: OverTime) -> Figure:
     """Torque, speed and residuals as envelopes."""
     figure, axes = sheet(4.8, 3, sharex=True, height_ratios=(1.0, 1.0, 1.5))
     for panel, column, scale in ((axes[0], found.torque, 1.0), (axes[1], found.speed, _TURN)):
-        panel.fill_between(column.place, column.low / scale, column.high / scale, color=INK, lw=0.5)
+        panel.fill_between(column.center, column.low / scale, column.high / scale, color=INK, lw=0.5)
         panel.axhline(0.0, color=INK, lw=0.5)
     for (colour, _), (name, column) in zip(STAGES, found.residual.items(), strict=False):
         low, high = column.low / ARCSEC, column.high / ARCSEC
-        axes[2].fill_between(column.place, low, high, color=colour, lw=0.3, label=name)
+        axes[2].fill_between(column.center, low, high, color=colour, lw=0.3, label=name)
     axes[0].set_title("Torque on the link [N m]")
     axes[1].set_title("Speed of the input [turns per second]")
     axes[2].set_xlabel("Time [s]")

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from hd_diag.formatting import words
 from hd_diag.report.pictures.canvas import ACCENT, DASHES, GRID, INK, SERIES, drawn, save, sheet
 from hd_diag.tolerance.assembly import FACTORS
-from hd_diag.tolerance.criteria import CRITERIA
+from hd_diag.tolerance.evaluation import CRITERIA
 from hd_diag.tolerance.sensitivity import Indices
 from hd_diag.tolerance.study import Study, Yield
 
