@@ -51,14 +51,8 @@ class _Samples(NamedTuple):
 def read_bags(paths: Sequence[str | Path], joint: JointConfig) -> Record:
     """A joint's record from one bag or several, each of which begins a new run, as a clock set back does.
 
-    It is at the output angle's stamps, by the rules of `hd_diag.streams.alignment`.
-
-    Raises
-    ------
-    BagError
-        Where a bag cannot be read.
-    RecordError
-        Where the joint has no input or output angle in them, or too little of them.
+    It is at the output angle's stamps, by the rules of `hd_diag.streams.alignment`. Raises BagError where a
+    bag cannot be read, RecordError where the joint has no input or output angle in them, or too little.
     """
     found = _read_all(paths, joint, lambda samples: np.isfinite(samples.output_angle))
     time, stretch, given, own, torque, speed, warm, stamps = found
@@ -95,16 +89,8 @@ def nothing(paths: Sequence[str | Path], joint: JointConfig, stamps: Stamps | No
 class InputRecord:
     """Where a joint's input was and what it bore, whether or not its output was measured.
 
-    Attributes
-    ----------
-    time, input_angle : ndarray, shape (n,)
-        [s]; continuous over the turns [rad].
-    torque : ndarray, shape (n,), or None
-        On the link [N m].
-    bag : ndarray of int64, shape (n,)
-        Which recording each sample comes from.
-    stamps : Stamps
-        What became of samples that are not in it.
+    Columns of shape (n,): time [s], angle, continuous over the turns [rad], torque on the link [N m] or None,
+    number of the recording. `stamps` tells what became of samples that are not in it.
     """
 
     time: Floats
@@ -118,11 +104,7 @@ def read_motion(paths: Sequence[str | Path], joint: JointConfig) -> InputRecord 
     """A joint's motion from one bag or several, at the input angle's stamps; None where there is none.
 
     Where only the output's angle is reported, and a torque, it is that angle times the ratio, at its stamps.
-
-    Raises
-    ------
-    BagError
-        Where a bag cannot be read.
+    Raises BagError where a bag cannot be read.
     """
     found = _read_all(paths, joint, _is_input)
     if is_single := not found.time.size:

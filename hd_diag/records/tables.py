@@ -49,17 +49,10 @@ _LONGEST_LINE, _MOST_ROWS = 1 << 20, 50_000_000  # half a day at 1 kHz
 class Table:
     """How CSV files are read.
 
-    Attributes
-    ----------
-    columns : mapping of str to str
-        For keys of `COLUMNS` and ``record`` names in the files' first rows, each with ``[unit]`` and
-        ``*scale`` behind it where they are needed. A unit in the first row, ``angle [deg]``, counts too.
-    divided : bool
-        Whether the input angle is already divided by the ratio.
-    rate : float
-        Of files without a column of time [Hz]; 0 where they have one.
-    delimiter : str
-        Empty: found from the first row.
+    `columns` maps keys of `COLUMNS` and ``record`` to names in the files' first rows, each with ``[unit]``
+    and ``*scale`` behind it where needed; a unit in the first row, ``angle [deg]``, counts too. `divided`:
+    the input angle is already divided by the ratio. `rate` is that of files without a column of time [Hz], 0
+    where they have one. An empty delimiter is found from the first row.
     """
 
     columns: Mapping[str, str]
@@ -71,10 +64,7 @@ class Table:
 def read_tables(paths: Sequence[str | Path], table: Table, joint: JointConfig) -> Record:
     """A record from CSV files, each of which is a recording.
 
-    Raises
-    ------
-    RecordError
-        Where a file lacks a column, or a value is not a number.
+    Raises RecordError where a file lacks a column, or a value is not a number.
     """
     _check_both(table)
     found, units, stamps = columns_of(paths, table, joint, ("time", "input", "output"))
