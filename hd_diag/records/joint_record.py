@@ -68,7 +68,7 @@ def read_bags(paths: Sequence[str | Path], joint: JointConfig) -> Record:
 
 
 def nothing(paths: Sequence[str | Path], joint: JointConfig, stamps: Stamps | None = None) -> str:
-    """What is missing in bags, and why or what there is; of one angle what a driver would have to publish."""
+    """Say which angle bags lack, and why or what they hold; for one angle, what a driver has to publish."""
     roles = (joint.signals.input, joint.input_joint), (joint.signals.output, joint.output_joint)
     given, measured = (place(*role) for role in roles)
     text = f"no input angle ({given}) with output angle ({measured}) in {', '.join(map(str, paths))}"
@@ -154,7 +154,7 @@ def _read_all(paths: Sequence[str | Path], joint: JointConfig, wanted: Callable[
 
 
 def _read(path: str | Path, joint: JointConfig, wanted: Callable[[Aligned], Any]) -> tuple[list[Any], Stamps]:
-    """Columns of one bag as `_Samples` has them, with stamps [ns], by these in each stretch."""
+    """Columns of one bag as in `_Samples`, but with stamps [ns]; sorted by stamp within each stretch."""
     streams = Alignment([joint.names._replace(torque=nan)], _REMEMBERED)
     nothing = np.zeros(0, np.int64)
     times, heat, size = [nothing], [np.zeros(0)], 0
