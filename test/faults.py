@@ -339,25 +339,24 @@ def page() -> str:
         for fault, (_, verbs) in FILES.items()
     ]
     parts.append(table(("file", *VERBS), rows))
-    parts.append("## Messages")
-    parts.append(
+    text = (
         "Node and `replay` reject the sample, count it in `samples_rejected`, give the reason in "
         "`last_rejection`, and go on."
     )
-    parts.append(table(("message", "reason"), [(what, code(said)) for what, (_, said) in MESSAGES.items()]))
-    parts.append("## Values")
-    parts.append(
+    rows = [(what, code(said)) for what, (_, said) in MESSAGES.items()]
+    parts += ["## Messages", text, table(("message", "reason"), rows)]
+    text = (
         "A running node refuses the change with this reason and stays as it is; of a file with such a value "
         "`check` says the same with code 2."
     )
     rows = [(code(f"{name}: {value}"), code(said)) for given, said in VALUES for name, value in given.items()]
-    parts.append(table(("parameter", "reason"), rows))
-    parts += ["## Start of the node", "Code 2 and one line that holds these words."]
+    parts += ["## Values", text, table(("parameter", "reason"), rows)]
     rows = [(what, ", ".join(map(code, said))) for what, (_, _, said) in STARTS.items()]
-    parts.append(table(("fault", "words"), rows))
-    parts += ["## Machine, network, processes", "Each with its test."]
+    text = "Code 2 and one line that holds these words."
+    parts += ["## Start of the node", text, table(("fault", "words"), rows)]
     rows = [(what, where, outcome, code(proof.partition("::")[2])) for what, where, outcome, proof in EVENTS]
-    parts.append(table(("fault", "at", "outcome", "test"), rows))
+    head = ("fault", "at", "outcome", "test")
+    parts += ["## Machine, network, processes", "Each with its test.", table(head, rows)]
     return "\n\n".join(parts) + "\n"
 
 

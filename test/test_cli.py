@@ -300,25 +300,23 @@ def test_a_target_is_replaced_only_when_it_is_whole(tmp_path: Path) -> None:
     assert path.stat().st_mode == (tmp_path / "new").stat().st_mode
 
 
+def in_bash(words: str) -> subprocess.CompletedProcess[str]:
+    """A command line as bash runs it, in a process of its own."""
+    environment = {**os.environ, "PYTHONPATH": ":".join(sys.path)}
+    command = ["bash", "-c", f"{shlex.quote(sys.executable)} -m hd_diag {words}"]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+
+
 def test_a_reader_that_has_enough_is_no_finding() -> None:
     """Code 0, as of a verb whose last line was read; nothing on stderr."""
     for words in ("mesh", "mesh --help", "--help"):
-        command = f"{shlex.quote(sys.executable)} -m hd_diag {words} | true; echo ${{PIPESTATUS[0]}}"
-        environment = {**os.environ, "PYTHONPATH": ":".join(sys.path)}
-        run = subprocess.run(
-            ["bash", "-c", command], env=environment, capture_output=True, text=True, timeout=60
-        )
+        run = in_bash(f"{words} | true; echo ${{PIPESTATUS[0]}}")
         assert (run.stdout, run.stderr) == ("0\n", "")
 
 
 @pytest.mark.parametrize("words", ["mesh", "--help"])
 def test_a_full_disk_under_what_is_printed_is_one_line(words: str) -> None:
-    environment = {**os.environ, "PYTHONPATH": ":".join(sys.path)}
-    with open("/dev/full", "w") as full:
-        command = [sys.executable, "-m", "hd_diag", words]
-        run = subprocess.run(
-            command, env=environment, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60
-        )
+    run = in_bash(f"{words} > /dev/full")
     told = "hd-diag: the output cannot be written: No space left on device\n"
     assert (run.returncode, run.stderr) == (2, told)
 
@@ -347,28 +345,20 @@ def test_a_missing_dependency_is_one_line(monkeypatch: pytest.MonkeyPatch) -> No
 # Ctrl-C ---
 
 
-def test_an_interruption_is_one_line_and_130(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The usual one, and what numba's compiled code makes of one that comes while it runs."""
+@pytest.mark.parametrize("compiled", [0, 1, 2])
+def test_an_interruption_is_one_line_and_130(monkeypatch: pytest.MonkeyPatch, compiled: int) -> None:
+    """The usual one, and what numba's compiled code makes of one, function by function."""
 
     def interrupted(*_: Any) -> None:
-        raise KeyboardInterrupt
+        error: BaseException = KeyboardInterrupt()
+        for _ in range(compiled):
+            outer = SystemError("CPUDispatcher returned a result with an exception set")
+            outer.__cause__, error = error, outer
+        raise error
 
-    def in_compiled_code(*_: Any) -> None:
-        try:
-            interrupted()
-        except KeyboardInterrupt as error:
-            raise SystemError("CPUDispatcher returned a result with an exception set") from error
-
-    def further_in(*_: Any) -> None:
-        try:
-            in_compiled_code()
-        except SystemError as error:
-            raise SystemError("another returned a result with an exception set") from error
-
-    for happens in (interrupted, in_compiled_code, further_in):
-        monkeypatch.setattr("hd_diag.cli.mesh.moment", happens)
-        result = hd_diag("mesh")
-        assert (result.exit_code, result.stdout, result.stderr.strip()) == (130, "", "hd-diag: interrupted")
+    monkeypatch.setattr("hd_diag.cli.mesh.moment", interrupted)
+    result = hd_diag("mesh")
+    assert (result.exit_code, result.stdout, result.stderr.strip()) == (130, "", "hd-diag: interrupted")
 
 
 @pytest.mark.parametrize("lost", ["", "callback", "cleared", "replaced"])

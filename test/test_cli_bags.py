@@ -8,6 +8,7 @@ import signal
 import sys
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import click
 import numpy as np
@@ -193,24 +194,19 @@ def test_ctrl_c_while_the_result_is_read_back(
     assert run(recover, folder / "long.mcap", "--out", tmp_path / "out.mcap").exit_code == 130
 
 
+@pytest.mark.parametrize(
+    ("command", "place"),
+    [(recover, "hd_diag.bag.recover.Scan"), (replay, "hd_diag.replay.replay.sources_of")],
+    ids=["recover", "replay"],
+)
 def test_ctrl_c_before_anything_is_written(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: click.Command, place: str
 ) -> None:
-    out = tmp_path / "out.mcap"
-    for place, command in (
-        ("hd_diag.bag.recover.Scan", recover),
-        ("hd_diag.replay.replay.sources_of", replay),
-    ):
-        with monkeypatch.context() as patch:
-            patch.setattr(sys.modules[place.rpartition(".")[0]], place.rpartition(".")[2], interrupt)
-            result = run(command, folder / "log.mcap", "--out", out)
-        assert result.exit_code == 130
-        assert result.stderr == "hd-diag: interrupted: nothing was written\n"
-        assert not out.exists()
-
-
-def interrupt(*arguments: Any) -> None:
-    raise KeyboardInterrupt
+    module, _, name = place.rpartition(".")
+    monkeypatch.setattr(sys.modules[module], name, Mock(side_effect=KeyboardInterrupt))
+    result = run(command, folder / "log.mcap", "--out", tmp_path / "out.mcap")
+    assert (result.exit_code, result.stderr) == (130, "hd-diag: interrupted: nothing was written\n")
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(

@@ -40,19 +40,21 @@ def test_work_says_how_far_it_is_and_how_long_still(clock: list[float]) -> None:
     assert str(work) == "40 %"
 
 
-def test_counted_work_has_a_rate(clock: list[float]) -> None:
-    work = progress._Work("replay", "messages")
-    work.advance(0, 30_000, "")
-    clock[0] += 2.0
-    work.advance(12_000, 30_000, "")
-    assert str(work) == "12,000 of 30,000 messages, 6,000/s, about 3 s left"
-
-
-def test_work_of_unknown_length_says_how_long_so_far(clock: list[float]) -> None:
-    work = progress._Work("arm", "")
-    work.advance(0, 0, "reading")
-    clock[0] += 130.0
-    assert str(work) == "2 min so far"
+@pytest.mark.parametrize(
+    ("unit", "done", "total", "seconds", "told"),
+    [
+        ("messages", 12_000, 30_000, 2.0, "12,000 of 30,000 messages, 6,000/s, about 3 s left"),
+        ("", 0, 0, 130.0, "2 min so far"),
+    ],
+)
+def test_counted_work_has_a_rate_and_work_of_unknown_length_its_time(
+    clock: list[float], unit: str, done: int, total: int, seconds: float, told: str
+) -> None:
+    work = progress._Work("arm", unit)
+    work.advance(0, total, "")
+    clock[0] += seconds
+    work.advance(done, total, "")
+    assert str(work) == told
 
 
 @pytest.mark.parametrize(

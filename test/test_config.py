@@ -103,12 +103,10 @@ def leaves(node: yaml.MappingNode, prefix: str = "") -> Any:
 
 
 def test_seven_joints_differ_as_written() -> None:
-    joints = {joint.name: joint for joint in load(ROOT / "config/seven_joints.yaml").joints}
-    assert list(joints) == [f"joint_{number}" for number in range(1, 8)]
-    assert joints["joint_2"].drive.mesh.eccentricity == pytest.approx(12e-6j, abs=1e-11)
-    assert joints["joint_3"].drive.kinematics.ratio == -100.0
-    assert joints["joint_6"].drive.kinematics.output == "circular_spline"
-    assert (joints["joint_7"].output_joint, joints["joint_7"].input_joint) == ("joint_7", "joint_7_motor")
+    joints = load(ROOT / "config/seven_joints.yaml").joints
+    assert [joint.name for joint in joints] == [f"joint_{number}" for number in range(1, 8)]
+    assert joints[1].drive.mesh.eccentricity == pytest.approx(12e-6j, abs=1e-11)
+    assert (joints[2].drive.kinematics.ratio, joints[5].drive.kinematics.output) == (-100, "circular_spline")
 
 
 # Single values ---
@@ -189,19 +187,8 @@ def test_configuration_that_cannot_be(values: dict[str, Any], reason: str) -> No
 @pytest.mark.parametrize(
     "joints",
     [
-        [],
-        "joint_1",
-        None,
-        [1],
-        ["a", "a"],
-        ["a.b"],
-        ["a b"],
-        ["ä"],
-        ["1a"],
-        [""],
-        ["log"],
-        {"a": 1},
-        ["use_sim_time"],
+        *([], "joint_1", None, [1], ["a", "a"], {"a": 1}),
+        *([name] for name in ("a.b", "a b", "ä", "1a", "", "log", "use_sim_time")),
     ],
     ids=repr,
 )
@@ -257,18 +244,11 @@ def test_numbers_are_those_of_ros(text: str, value: float, tmp_path: Path) -> No
 @pytest.mark.parametrize("what", ["pipe", "link to a pipe", "device", "socket"])
 def test_only_regular_files_are_read(what: str, tmp_path: Path) -> None:
     """A parameter file, and a model file that it names; a reader of a pipe waits for who writes."""
-    path = tmp_path / "file"
-    if "pipe" in what:
-        os.mkfifo(tmp_path / "pipe")
-        path = tmp_path / "pipe"
-    if what == "link to a pipe":
-        path = tmp_path / "link"
-        path.symlink_to("pipe")
-    if what == "device":
-        path = Path("/dev/zero")
-    if what == "socket":
-        with socket.socket(socket.AF_UNIX) as bound:
-            bound.bind(str(path))
+    path = Path("/dev/zero") if what == "device" else tmp_path / what
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link to a pipe").symlink_to("pipe")
+    with socket.socket(socket.AF_UNIX) as bound:
+        bound.bind(str(tmp_path / "socket"))
     assert file_refusal(path).endswith("cannot be read: it is no regular file")
     own = written(tmp_path / "f.yaml", section(f"joint_1: {{model_file: '{path}'}}"))
     assert file_refusal(own).endswith("cannot be read: it is no regular file")

@@ -76,17 +76,6 @@ def test_values_are_physical_with_units_classes_and_deviations() -> None:
     assert document["valid_range"]["torque"] == {"low": -40.0, "high": 45.0, "unit": "N m"}
 
 
-def test_a_link_and_a_device_stay_what_they_are(tmp_path: Path) -> None:
-    link, null = tmp_path / "link.json", tmp_path / "null"
-    link.symlink_to(tmp_path / "m.json")
-    null.symlink_to("/dev/null")
-    for path in (link, null):
-        write(path, content())
-        assert path.is_symlink()
-    assert model_for((tmp_path / "m.json").read_text(), own()) == model_for(json.dumps(content()), own())
-    assert Path("/dev/null").is_char_device()
-
-
 def test_effects_outside_their_limits_are_not_written(tmp_path: Path) -> None:
     document = content("stream_delay")
     document["effects"][0]["parameters"]["delay"]["value"] = 1.0
@@ -204,17 +193,9 @@ def test_errors_name_parameter_file_and_cause(tmp_path: Path, data: bytes | None
 
 
 def test_where_texts_come_from_can_be_given() -> None:
-    given = parameters("a", "b", a__model_file="gone.json")
-    asked: list[tuple[str, str]] = []
-
-    def text(joint: str, path: str) -> str:
-        asked.append((joint, path))
-        return WHOLE
-
-    first, second = resolve(given, text).joints
-    assert asked == [("a", "gone.json")]
-    assert first.model is not None
-    assert second.model is None
+    given, texts = parameters("a", "b", a__model_file="gone.json"), {("a", "gone.json"): WHOLE}
+    first, second = resolve(given, lambda *place: texts.pop(place)).joints
+    assert (first.model is None, second.model, texts) == (False, None, {})
 
 
 # Hostile files ---

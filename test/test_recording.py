@@ -213,22 +213,13 @@ def test_no_torque_and_an_effort_of_nan(given: dict[str, np.ndarray], tmp_path: 
 
 def test_bags_that_hold_no_record_of_the_joint(given: dict[str, np.ndarray], tmp_path: Path) -> None:
     wanted = r"no input angle \('joint_1_motor'\) with output angle \('joint_1'\)"
-    cases: list[tuple[list[Message], type[Exception], str]] = [
-        (
-            whole(given, ("elbow_motor", "elbow")),
-            RecordError,
-            wanted + ".*elbow, elbow_motor; its topics are /joint_states; .*hd-diag topics",
-        ),
-        (states(given["time"], NAMES[:1], (given["input"],)), RecordError, "with output angle"),
-        (
-            [("/note", STRING, string_cdr("x"), START)],
-            BagError,
-            r"has no topic with sensor_msgs/msg/JointState; it has /note",
-        ),
-    ]
-    for number, (messages, error, said) in enumerate(cases):
-        with pytest.raises(error, match=said):
-            read(write(tmp_path / f"{number}.mcap", messages))
+    there = wanted + ".*elbow, elbow_motor; its topics are /joint_states; .*hd-diag topics"
+    with pytest.raises(RecordError, match=there):
+        read(write(tmp_path / "others.mcap", whole(given, ("elbow_motor", "elbow"))))
+    with pytest.raises(RecordError, match="with output angle"):
+        read(write(tmp_path / "input.mcap", states(given["time"], NAMES[:1], (given["input"],))))
+    with pytest.raises(BagError, match=r"has no topic with sensor_msgs/msg/JointState; it has /note"):
+        read(write(tmp_path / "note.mcap", [("/note", STRING, string_cdr("x"), START)]))
 
 
 # Tables ---
@@ -241,25 +232,17 @@ def write_table(path: Path, given: dict[str, np.ndarray], **more: np.ndarray) ->
     return path
 
 
-def test_a_table_gives_the_same_record(given: dict[str, np.ndarray], tmp_path: Path) -> None:
-    path = write_table(tmp_path / "a.csv", given, note=np.zeros(given["time"].size))
-    record, expected = read_tables([path], Table(COLUMNS), joint()), prepared(given)
-    for name in ("time", "input_angle", "output_angle", "torque", "speed", "run"):
-        assert_array_equal(getattr(record, name), getattr(expected, name))
-
-
-def test_each_table_is_a_recording(given: dict[str, np.ndarray], tmp_path: Path) -> None:
-    paths = [write_table(tmp_path / name, given) for name in ("a.csv", "b.csv")]
-    record = read_tables(paths, Table(COLUMNS), joint())
-    assert_array_equal(record.output_angle, np.tile(prepared(given).output_angle, 2))
-    assert np.unique(record.bag).tolist() == [0, 1]
-
-
-def test_an_input_that_is_divided_already(given: dict[str, np.ndarray], tmp_path: Path) -> None:
-    path = write_table(tmp_path / "a.csv", {**given, "input": given["input"] / RATIO})
-    assert_allclose(
-        read_tables([path], Table(COLUMNS, divided=True), joint()).input_angle, given["input"], rtol=1e-12
-    )
+def test_tables_give_the_same_record_and_each_is_a_recording(
+    given: dict[str, np.ndarray], tmp_path: Path
+) -> None:
+    note = np.zeros(given["time"].size)
+    paths = [write_table(tmp_path / name, given, note=note) for name in ("a.csv", "b.csv")]
+    expected = prepared(given)
+    for count in (1, 2):
+        record = read_tables(paths[:count], Table(COLUMNS), joint())
+        for name in ("time", "input_angle", "output_angle", "torque", "speed"):
+            assert_array_equal(getattr(record, name), np.tile(getattr(expected, name), count))
+        assert np.unique(record.bag).tolist() == list(range(count))
 
 
 def test_a_table_without_torque_and_with_temperature_and_records(

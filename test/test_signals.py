@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import robot_messages as robots
+import yaml
 from cli_runner import assert_one_line_error, hd_diag
 from joint_records import RATIO, columns, joint, prepared
 from logs import content
@@ -19,30 +20,26 @@ from hd_diag.bag import BagError, BagReader
 from hd_diag.bag.typestore import store_of
 from hd_diag.config.configuration import ConfigError, load, resolve
 from hd_diag.config.parameter_file import read
+from hd_diag.config.parameters import flatten
 from hd_diag.diagnosis.record import RecordError
 from hd_diag.messages.fields import FieldReader
 from hd_diag.records.joint_record import read_bags, read_motion
 from hd_diag.records.joint_topics import JointTopics
 from hd_diag.replay.replay import replay
-from hd_diag.streams.signals import Signal, Unit, unit
+from hd_diag.streams.signals import Signal, Unit
 
 ROOT = Path(__file__).resolve().parent.parent
-ELBOW = {
-    "type": "control_msgs/DynamicJointState",
-    "topic": "/dynamic_joint_states",
-    "name": "elbow",
+ELBOW = {"type": "control_msgs/DynamicJointState", "topic": "/dynamic_joint_states", "name": "elbow"}
+FIELDS = {
+    "input": "interface_values.values[motor_position]",
+    "output_signal": "interface_values[{name}].values[position]",
+    "torque_signal": "interface_values[elbow].values[effort]",
 }
 ROS2_CONTROL = {
-    "input": {**ELBOW, "field": "interface_values.values[motor_position]"},
-    "output_signal": {**ELBOW, "field": "interface_values[{name}].values[position]"},
-    "torque_signal": {**ELBOW, "field": "interface_values[elbow].values[effort]"},
+    f"joint_1.{owner}.{name}": value
+    for owner, field in FIELDS.items()
+    for name, value in {**ELBOW, "field": field}.items()
 }
-
-
-def mapped(signals: dict[str, dict[str, Any]], **more: Any) -> Any:
-    """The joint with signals."""
-    own = {f"{owner}__{name}": value for owner, given in signals.items() for name, value in given.items()}
-    return joint(**own, **more)
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +117,7 @@ def test_a_ur(given: dict[str, np.ndarray], recipes: dict[str, Any], tmp_path: P
 def test_a_torque_by_current(given: dict[str, np.ndarray], tmp_path: Path) -> None:
     amperes = {**given, "torque": given["torque"] / 11.2}
     path = write(tmp_path / "a.mcap", whole(amperes))
-    record = read_bags([path], mapped({"torque_signal": {"unit": "mA", "scale": 11200.0}}))
+    record = read_bags([path], joint(torque_signal__unit="mA", torque_signal__scale=11200.0))
     assert record.by_current
     assert_same(record, prepared(given))
 
@@ -138,22 +135,13 @@ def test_motors_and_links_with_the_same_names_on_two_topics(
         states(given["time"], NAMES[1:], (np.degrees(given["input"]),), topic="/motors/joint_states"),
         states(given["time"], NAMES[1:], (links,), (given["torque"],), topic="/links/joint_states"),
     )
-    record = read_bags(
-        [path],
-        mapped(
-            {
-                "input": {"topic": "/motors/joint_states", "unit": "deg", "name": "joint_1"},
-                "output_signal": {"topic": "/links/joint_states", "unit": "counts/8192", "sign": -1},
-                "torque_signal": {"topic": "/links/joint_states"},
-                "temperature_signal": {
-                    "topic": "links/joint_states",
-                    "type": "sensor_msgs/JointState",
-                    "field": "effort",
-                    "unit": "K",
-                },
-            }
-        ),
-    )
+    own = """
+        input: {topic: /motors/joint_states, unit: deg, name: joint_1}
+        output_signal: {topic: /links/joint_states, unit: counts/8192, sign: -1}
+        torque_signal: {topic: /links/joint_states}
+        temperature_signal: {topic: links/joint_states, type: sensor_msgs/JointState, field: effort, unit: K}
+    """
+    record = read_bags([path], joint(**dict(flatten(yaml.safe_load(own)))))
     expected = prepared({**given, "temperature": given["torque"] - 273.15})
     assert_same(record, expected)
     assert_allclose(record.temperature, expected.temperature, rtol=0, atol=1e-9)
@@ -167,7 +155,7 @@ def test_a_torque_of_another_joint_name(given: dict[str, np.ndarray], tmp_path: 
         tmp_path / "a.mcap",
         states(given["time"], names, (given["input"], given["output"], zero), (zero, zero, given["torque"])),
     )
-    assert_same(read_bags([path], mapped({"torque_signal": {"name": "sensor"}})), prepared(given))
+    assert_same(read_bags([path], joint(torque_signal__name="sensor")), prepared(given))
 
 
 def test_an_input_that_wraps_is_the_same_record(given: dict[str, np.ndarray], tmp_path: Path) -> None:
@@ -193,8 +181,7 @@ def test_a_replay_predicts_from_other_messages_as_from_joint_states(
     other = messages.write(tmp_path / "other.mcap", "/dynamic_joint_states", sent)
     usual = write(tmp_path / "usual.mcap", whole(given))
     outputs = []
-    for number, (path, signals) in enumerate(((usual, {}), (other, ROS2_CONTROL))):
-        own = {f"joint_1.{o}.{n}": v for o, each in signals.items() for n, v in each.items()}
+    for number, (path, own) in enumerate(((usual, {}), (other, ROS2_CONTROL))):
         out = tmp_path / f"{number}.mcap"
         result = replay(path, out, resolve(own))
         assert result.joints == ("joint_1",)
@@ -264,7 +251,7 @@ def test_what_is_not_there_is_told_with_what_there_is(
     path = messages.write(tmp_path / "a.mcap", "/d", robots.dynamic_states(messages, few))
     own = {"topic": "/d", "type": "control_msgs/DynamicJointState", "field": "interface_values[0].values[0]"}
     with pytest.raises(BagError) as caught:
-        read_bags([path], mapped({"input": own | signal}))
+        read_bags([path], joint(**{f"input__{name}": value for name, value in (own | signal).items()}))
     assert said in str(caught.value)
 
 
@@ -312,24 +299,6 @@ def test_a_file_says_it_nested_or_in_a_word(tmp_path: Path) -> None:
         assert (
             resolve(read(file)).joints[0].signals == resolve({"joint_1.input": "velocity"}).joints[0].signals
         )
-
-
-@pytest.mark.parametrize(
-    ("role", "name", "value", "expected"),
-    [
-        ("input", "deg", 180.0, np.pi),
-        ("input", "turns", 0.5, np.pi),
-        ("output", "counts/4096", 1024.0, np.pi / 2),
-        ("input", "rpm", 60.0, 2 * np.pi),
-        ("torque", "mA", 1500.0, 1.5),
-        ("torque", "Nm", 2.0, 2.0),
-        ("temperature", "K", 300.0, 26.85),
-        ("time", "ms", 5.0, 0.005),
-    ],
-)
-def test_units(role: str, name: str, value: float, expected: float) -> None:
-    known = unit(role, name)
-    assert value * known.factor + known.offset == pytest.approx(expected, abs=1e-12)
 
 
 # Fields of any message ---

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from functools import partial
 from pathlib import Path
@@ -51,27 +52,10 @@ def replay(
             raise
         raise Problem(f"{error}; hd-diag recover saves the rest of the bag") from error
     took = time.monotonic() - begin
-    if write_json(json_file, _replay_json(result, out, took)):
+    content = {"schema": "hd_diag/replay/1", "out": str(out), "seconds": took}
+    if write_json(json_file, content | dataclasses.asdict(result)):
         _tell_replay(result, out, took)
     return Problem.exit_code if result.absent else 0
-
-
-def _replay_json(result: Replay, out: Path, took: float) -> dict[str, object]:
-    return {
-        "schema": "hd_diag/replay/1",
-        "out": str(out),
-        "reproduced": result.reproduced,
-        "messages": result.messages,
-        "written": result.written,
-        "duration": result.duration,
-        "seconds": took,
-        "joints": list(result.joints),
-        "absent": result.absent,
-        "rejected": result.rejected,
-        "missed": result.missed,
-        "last_rejection": result.last_rejection,
-        "problems": result.problems,
-    }
 
 
 def _tell_replay(result: Replay, out: Path, took: float) -> None:

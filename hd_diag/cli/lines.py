@@ -18,7 +18,7 @@ _WIDEST = 1000  # characters of a table in a pipe: rich wraps what is wider
 
 
 def tell(line: str, *, err: bool = False) -> None:
-    """Print one line of which some may come from a file; on a terminal it breaks between words."""
+    """Print one line, without control characters of files; on a terminal it breaks between words."""
     line, stream = visible(line, _LONGEST), sys.stderr if err else sys.stdout
     if stream.isatty():
         indent = " " * (len(line) - len(line.lstrip()))

@@ -55,11 +55,11 @@ class BagTarget(Target):
 
 
 def verb(example: str, module: str = "", **settings: Any) -> Callable[[Callable[..., Any]], click.Command]:
-    """A function without a body as a verb: its name, its help, and the options that decorate it.
+    """Decorate a function without a body: its name, docstring and options declare a verb.
 
-    The function of the same name does the work, in the module of its own name or of that given, and gives the
-    exit code (None: 0). The module is imported when the verb is called; its files are compared before. Bad
-    input is one line. Settings are of click's context. The list of verbs shows the first line of the help.
+    The function of the same name in ``hd_diag.cli.<module>`` (by default that of the verb's name) does the
+    work and returns the exit code (None: 0). It is imported when the verb is called, after input and output
+    files were compared. ConfigError and BagError become one line. Settings are those of click's context.
     """
 
     def made(stub: Callable[..., Any]) -> click.Command:
@@ -82,9 +82,10 @@ def verb(example: str, module: str = "", **settings: Any) -> Callable[[Callable[
 
 
 def check_files(targets: Iterable[str | Path | None] | None = None, inputs: Iterable[Path] = ()) -> None:
-    """Refuse targets of the running verb that meet each other or what it reads, before the work.
+    """Refuse, before the work, output files of the running verb that coincide with each other or an input.
 
-    Without targets they are those that were given; inputs that follow from those given count from now on.
+    Without `targets`, those of the command line are checked. `inputs` are files that the verb reads beside
+    those of the command line; later calls check against them too.
     """
     context = click.get_current_context(silent=True)
     if context is None:
@@ -102,7 +103,7 @@ def _paths(context: click.Context, kind: type[click.Path]) -> list[Path]:
 
 
 def _problem(error: ValueError, overwrites: bool) -> ValueError | Problem:
-    """What is said of bad input; any other error is itself."""
+    """A Problem for errors of a configuration or a bag; any other error as it is."""
     from hd_diag.bag.errors import BagError
     from hd_diag.config.parameters import ConfigError
 
@@ -216,7 +217,7 @@ records = together(
 
 @contextmanager
 def needing_ros(what: str) -> Iterator[None]:
-    """Imports inside are of ROS."""
+    """Report an ImportError inside as missing ROS."""
     try:
         yield
     except ImportError as error:

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NoReturn, Protocol
+from typing import NoReturn
 
 from hd_diag.bag import BagReader
 from hd_diag.cli.lines import tell
@@ -21,18 +21,11 @@ from hd_diag.ros.stop_signals import Stopped, noted_signals, signalled
 _PERIOD = 10.0  # of lines in a pipe [s]
 
 
-class Advance(Protocol):
-    """How far a part of the work is."""
+Advance = Callable[..., None]
+"""Called with what is done, of what in all (0: not known), and as a third, what is being done now."""
 
-    def __call__(self, done: float, total: float, note: str = "") -> None:
-        """Show what is done, of what in all (0: not known), and what is being done now."""
-
-
-class Part(Protocol):
-    """Begins parts of the work."""
-
-    def __call__(self, what: str, unit: str = "") -> Advance:
-        """A part of this name, counted in this unit; without one its share is shown in per cent."""
+Part = Callable[..., Advance]
+"""Begins a part of the work by its name and, where it is not shown in per cent, the unit it is counted in."""
 
 
 class _Work:
@@ -78,9 +71,9 @@ def duration(seconds: float) -> str:
 
 @contextmanager
 def showing(came: Sequence[int] = ()) -> Iterator[Part]:
-    """Parts of the work: each gives what is to be called meanwhile; shown from the first call on.
+    """Gives what begins parts of the work; each is shown from the first call of its `Advance` on.
 
-    Such a call raises `Stopped` where a signal has `came`.
+    That call raises `Stopped` if `came` holds a signal.
     """
     with _bars() if _on_terminal() else _lines() as show:
 
@@ -100,7 +93,7 @@ def showing(came: Sequence[int] = ()) -> Iterator[Part]:
 
 @contextmanager
 def working() -> Iterator[Part]:
-    """The same for work that must end at a call after a signal."""
+    """The same, for work that a signal ends at the next call of an `Advance`."""
     with noted_signals() as came, showing(came) as part:
         yield part
 

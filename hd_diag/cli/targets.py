@@ -1,4 +1,4 @@
-"""What a verb writes: refused before the work where it cannot be, in place only when it is whole."""
+"""Files that a verb writes: checked before the work, and put in place only when they are complete."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Problem(click.ClickException):
 
 
 def check_targets(targets: Iterable[str | Path | None], *inputs: Path) -> None:
-    """Refuse before the work files that could not be written, would overwrite each other or an input."""
+    """Raise a Problem for outputs that cannot be written, or would overwrite each other or an input."""
     wanted = [Path(target) for target in targets if target not in (None, "-")]
     for one, other in itertools.permutations(wanted, 2):
         own, within = (Path(os.path.realpath(path)) for path in (one, other))
@@ -49,7 +49,7 @@ def check_targets(targets: Iterable[str | Path | None], *inputs: Path) -> None:
 
 @contextmanager
 def writing(path: str | Path) -> Iterator[Path]:
-    """Where to write a file, put in place when it is whole; a Problem where it cannot be written."""
+    """Give a draft's path and put it in place when complete; raise a Problem if it cannot be written."""
     try:
         with whole_file(path) as place:
             yield place
@@ -58,10 +58,7 @@ def writing(path: str | Path) -> Iterator[Path]:
 
 
 def write_json(path: str | None, result: Any) -> bool:
-    """Write a result as JSON where a path is given; whether stdout is free to show it to people.
-
-    Numbers that are not finite become null.
-    """
+    """Write a result as JSON if there is a path, nan as null; return False if it went to stdout."""
     if path:
         text = json.dumps(json_ready(result), indent=1, allow_nan=False)
         if path == "-":

@@ -5,8 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-import os
-import sys
 import time
 from collections.abc import Callable, Sequence
 from typing import IO, TYPE_CHECKING
@@ -51,10 +49,8 @@ def watch(
                 is_faulty = not came and _show_once(state, timeout, json_file)
             else:
                 is_faulty = _follow(state, listener, came, fail_on_fault, json_file)
-        except BrokenPipeError:  # whoever read has enough; the interpreter must not write the rest
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            is_faulty = False
-            came.clear()
+        except BrokenPipeError:  # whoever read has enough: no matter which signal came
+            raise
         except OSError as error:
             raise Problem(f"{json_file}: cannot be written: {error.strerror}") from error
     return SIGNALLED + came[0] if came else int(fail_on_fault and is_faulty)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
 from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.config.defaults import EXAMPLE, Page, page_of
 from hd_diag.config.parameters import of_joint
-from hd_diag.drive import Drive
-from hd_diag.gear.characteristics import Characteristics, ToothLoads, characteristics, slot_shift
+from hd_diag.gear.characteristics import Characteristics, characteristics, slot_shift
 
 _FAR = 1.5  # reached over given stiffness, either way [-]
 _BY_ITSELF = 0.25  # of the overlap that is warned of, without any eccentricity [-]
@@ -54,63 +54,44 @@ def assess(config: Config, joint: JointConfig) -> Assessment:
     perfect = found
     if mesh.eccentricity or mesh.runout:
         perfect = characteristics(replace(drive, mesh=replace(mesh, eccentricity=0.0, runout=0.0)), *steps)
-    warnings = [
-        *_overlap(perfect.loads, joint),
-        *_stiffness(perfect, page),
-        *_load(perfect.loads.rated, drive, joint),
-    ]
-    warnings += _dissimilar(drive) if page else []
-    return Assessment(found, page, warnings)
+    return Assessment(found, page, list(_warnings(perfect, page, joint)))
 
 
-def _overlap(found: ToothLoads, joint: JointConfig) -> list[str]:
-    if found.overlap <= max(0.0, _BY_ITSELF * joint.limits["overlap"].warn):
-        return []
-    return [
-        f"the lobes overlap by {found.overlap * 1e6:.3g} µm without eccentricity, which presses a tooth with "
-        f"{found.idle:.3g} N without torque: neutral curve and slots do not fit each other"
-    ]
-
-
-def _dissimilar(drive: Drive) -> list[str]:
+def _warnings(found: Characteristics, page: Page | None, joint: JointConfig) -> Iterator[str]:
+    """What no gear has, or not the one of the page; the characteristics are those without eccentricity."""
+    drive, loads, limits = joint.configured, found.loads, joint.limits
+    if loads.overlap > max(0.0, _BY_ITSELF * limits["overlap"].warn):
+        yield (
+            f"the lobes overlap by {loads.overlap * 1e6:.3g} µm without eccentricity, which presses a tooth "
+            f"with {loads.idle:.3g} N without torque: neutral curve and slots do not fit each other"
+        )
+    steps = zip(_STEPS, found.stiffness.tolist(), page.stiffness, strict=True) if page else ()
+    for name, reached, given in steps:
+        if not 1.0 / _FAR < reached / given < _FAR:
+            yield (
+                f"{name.upper()} is {reached:.3g} N m/rad, {reached / given:.2g} times what gear.{name} "
+                f"gives ({given:.3g}): compliances or T1, T2 are not those of the page"
+            )
+    if math.isnan(loads.rated):
+        yield f"the teeth cannot bear the rated torque, {drive.rated_torque:g} N m"
+    elif limits["peak_tooth_load"].level(loads.rated):
+        yield (
+            f"the rated torque, {drive.rated_torque:g} N m, puts {loads.rated:.3g} N on a tooth: more "
+            f"than limits.peak_tooth_load.warn, {limits['peak_tooth_load'].warn:g} N"
+        )
+    share = abs(joint.torque) / drive.rated_torque
+    if limits["torque"].level(share):
+        yield (
+            f"torque, {joint.torque:g} N m, is {share:.2g} times the rated torque: more than "
+            f"limits.torque.warn, {limits['torque'].warn:g}"
+        )
     geometry = drive.mesh.geometry
-    if geometry.flexspline_teeth >= _DISSIMILAR_TEETH:
-        return []
-    shift = slot_shift(EXAMPLE.mesh.geometry, geometry)
-    share = shift / (geometry.flexspline_tip - geometry.flexspline_root)
-    return [
-        f"{geometry.flexspline_teeth} teeth of the flexspline: slots have to lie {shift * 1e6:.0f} µm "
-        f"further out than at ratio 100, {100.0 * share:.0f} % of a tooth's height; such gears have another "
-        "profile and deformation, and what depends on them (backlash of single teeth, first interference, "
-        "tooth forces) is a guess"
-    ]
-
-
-def _stiffness(found: Characteristics, page: Page | None) -> list[str]:
-    if page is None:
-        return []
-    pairs = zip(_STEPS, found.stiffness.tolist(), page.stiffness, strict=True)
-    return [
-        f"{name.upper()} is {reached:.3g} N m/rad, {reached / given:.2g} times what gear.{name} gives "
-        f"({given:.3g}): compliances or T1, T2 are not those of the page"
-        for name, reached, given in pairs
-        if not 1.0 / _FAR < reached / given < _FAR
-    ]
-
-
-def _load(rated: float, drive: Drive, joint: JointConfig) -> list[str]:
-    force, torque = joint.limits["peak_tooth_load"], joint.limits["torque"]
-    problems = []
-    if math.isnan(rated):
-        problems.append(f"the teeth cannot bear the rated torque, {drive.rated_torque:g} N m")
-    elif force.level(rated):
-        problems.append(
-            f"the rated torque, {drive.rated_torque:g} N m, puts {rated:.3g} N on a tooth: more "
-            f"than limits.peak_tooth_load.warn, {force.warn:g} N"
+    if page and geometry.flexspline_teeth < _DISSIMILAR_TEETH:
+        shift = slot_shift(EXAMPLE.mesh.geometry, geometry)
+        height = geometry.flexspline_tip - geometry.flexspline_root
+        yield (
+            f"{geometry.flexspline_teeth} teeth of the flexspline: slots have to lie {shift * 1e6:.0f} µm "
+            f"further out than at ratio 100, {100.0 * shift / height:.0f} % of a tooth's height; such gears "
+            "have another profile and deformation, and what depends on them (backlash of single teeth, first "
+            "interference, tooth forces) is a guess"
         )
-    if torque.level(abs(joint.torque) / drive.rated_torque):
-        problems.append(
-            f"torque, {joint.torque:g} N m, is {abs(joint.torque) / drive.rated_torque:.2g} times the rated "
-            f"torque: more than limits.torque.warn, {torque.warn:g}"
-        )
-    return problems

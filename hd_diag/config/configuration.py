@@ -79,38 +79,21 @@ def resolve(
 ) -> Config:
     """Configuration from flat parameters, the others filled in, everything checked.
 
-    What is not given comes from a joint's catalogue page, goes with its drive or has its default:
-    :mod:`hd_diag.config.defaults`.
+    Parameters are given by their full ROS names, e.g. ``joint_1.eccentricity.magnitude``. Others come from a
+    joint's catalogue page, go with its drive or have their defaults: :mod:`hd_diag.config.defaults`.
+    `model_text` gives the texts of model files, by default from disk, relative to the present folder; they
+    may hold the effects of `catalogue`, by default the package's and installed ones.
 
-    Parameters
-    ----------
-    given : mapping
-        Full ROS parameter names to values, e.g. ``joint_1.eccentricity.magnitude``.
-    model_text : callable, optional
-        Where model files come from; by default from disk, relative to the present folder.
-    catalogue : tuple of Effect, optional
-        Effects that model files may hold; by default the package's and installed ones.
-
-    Raises
-    ------
-    ConfigError
-        Naming the first parameter that cannot be, its value and what was expected; for an unknown one, the
-        nearest known.
+    Raises ConfigError naming the first parameter that cannot be, its value and what was expected; for an
+    unknown one, the nearest known.
     """
     flat, kept, joints = _completed(given)
     configured = tuple(_joint(name, flat, model_text, catalogue) for name in joints)
     _check_names(configured)
-    _check_rates(configured, flat["array_rate"], flat["mesh_rate"])
+    array_rate, mesh_rate = flat["array_rate"], flat["mesh_rate"]
+    _check_rates(configured, array_rate, mesh_rate)
     log = LogConfig(**{p.name[4:]: flat[p.name] for p in NODE_PARAMETERS if p.name.startswith("log.")})
-    return Config(
-        configured,
-        flat["array_rate"],
-        flat["mesh_rate"],
-        flat["diagnostics_rate"],
-        log,
-        flat,
-        kept,
-    )
+    return Config(configured, array_rate, mesh_rate, flat["diagnostics_rate"], log, flat, kept)
 
 
 def recorded_signals(given: Mapping[str, Any]) -> dict[str, JointSignals]:
@@ -146,22 +129,15 @@ def _completed(given: Mapping[str, Any]) -> tuple[dict[str, Value], dict[str, Va
     flat: dict[str, Value] = {p.name: found.get(p.name, p.default) for p in NODE_PARAMETERS}
     flat["joints"] = joints
     kept = {name: value for name, value in found.items() if name in flat}
-    for name in joints:
-        every, beside = _joint_values(name, found)
-        flat |= every
-        kept |= beside
+    for joint in joints:
+        own = {p.name: found[full] for p in JOINT_PARAMETERS if (full := f"{joint}.{p.name}") in found}
+        try:
+            every, beside = joint_values(own)
+        except ValueError as error:
+            raise ConfigError(f"{joint}: {error}") from error
+        flat |= {f"{joint}.{name}": copy(value) for name, value in every.items()}
+        kept |= {f"{joint}.{name}": copy(value) for name, value in beside.items()}
     return flat, kept, joints
-
-
-def _joint_values(name: str, found: Mapping[str, Value]) -> tuple[dict[str, Value], dict[str, Value]]:
-    """All of a joint's parameters, and those given beside its page, by their full names."""
-    names = {f"{name}.{p.name}": p.name for p in JOINT_PARAMETERS}
-    try:
-        values = joint_values({names[full]: value for full, value in found.items() if full in names})
-    except ValueError as error:
-        raise ConfigError(f"{name}: {error}") from error
-    every, beside = ({f"{name}.{own}": copy(value) for own, value in part.items()} for part in values)
-    return every, beside
 
 
 def _joint(

@@ -61,7 +61,7 @@ def reached(assessed: Assessment) -> Iterator[str]:
 
 
 def assumed(joint: JointConfig) -> str:
-    """What similarity took the place of."""
+    """What is assumed by similarity, in words."""
     geometry, example = joint.configured.mesh.geometry, EXAMPLE.mesh.geometry
     shift = slot_shift(example, geometry)
     side = "out" if shift >= 0.0 else "in"

@@ -71,25 +71,11 @@ _DRIVE = {
 
 @dataclass(frozen=True)
 class ModelFile:
-    """What a file holds.
-
-    A model; parameters of its refitted drive by their names within a joint; and as base the same of the drive
-    that was configured when the model was fitted.
-    """
+    """What a file holds: a model, the parameters of its drive after the fit, and as base those before it."""
 
     model: ExtendedModel
     parameters: Mapping[str, Value]
     base: Mapping[str, Value]
-
-    def check_base(self, configured: Mapping[str, Value]) -> None:
-        """Raise ConfigError naming the first parameter that differs from the joint the model was fitted to.
-
-        Those that the fit changed may be as before it or as after.
-        """
-        for name, value in self.base.items():
-            now = configured[name]
-            if now != value and not (name in REFITTED and now == self.parameters[name]):
-                raise ConfigError(f"was fitted to a joint with another {name}; this one has {shown(now)}")
 
 
 def drive_parameters(own: Mapping[str, Value]) -> dict[str, Value]:
@@ -109,7 +95,9 @@ def model_for(text: str, own: Mapping[str, Value], catalogue: Catalogue | None =
     in one line what is wrong, without the file's name.
     """
     found = parse(text, catalogue)
-    found.check_base(own)
+    for name, value in found.base.items():  # parameters that the fit changed may be as before it or after
+        if own[name] != value and not (name in REFITTED and own[name] == found.parameters[name]):
+            raise ConfigError(f"was fitted to a joint with another {name}; this one has {shown(own[name])}")
     _try(found.model)
     return found.model
 

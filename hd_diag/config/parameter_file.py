@@ -54,7 +54,18 @@ def read(path: str | Path) -> dict[str, Any]:
     YAML: ``hd_diag: ros__parameters: ...``; a node name with namespace, and ``/**``, are taken too. The
     values are not yet checked. Raises ConfigError saying why it is not a parameter file of this node.
     """
-    return _of_this_node(_document(path))
+    document = _document(path)
+    if not isinstance(document, Mapping):
+        raise ConfigError(_EXPECTED)
+    sections = {k: s for k, s in document.items() if str(k).rsplit("/", 1)[-1] in ("hd_diag", "**", "*")}
+    if not sections:
+        raise ConfigError(_EXPECTED)
+    flat: dict[str, Any] = {}
+    for name, section in sections.items():
+        if not isinstance(section, Mapping) or not isinstance(section.get("ros__parameters"), Mapping):
+            raise ConfigError(f"{shown(name)} holds no 'ros__parameters'")
+        flat |= flatten(section["ros__parameters"])
+    return {name: value for name, value in flat.items() if name.split(".")[0] not in ROS_PARAMETERS}
 
 
 def sections(path: str | Path) -> list[Any]:
@@ -97,17 +108,3 @@ def text(flat: Mapping[str, Value]) -> str:
     """The text of a parameter file with these values."""
     written: str = yaml.safe_dump({"hd_diag": {"ros__parameters": nested(flat)}}, sort_keys=False)
     return written
-
-
-def _of_this_node(document: Any) -> dict[str, Any]:
-    if not isinstance(document, Mapping):
-        raise ConfigError(_EXPECTED)
-    sections = {k: s for k, s in document.items() if str(k).rsplit("/", 1)[-1] in ("hd_diag", "**", "*")}
-    if not sections:
-        raise ConfigError(_EXPECTED)
-    flat: dict[str, Any] = {}
-    for name, section in sections.items():
-        if not isinstance(section, Mapping) or not isinstance(section.get("ros__parameters"), Mapping):
-            raise ConfigError(f"{shown(name)} holds no 'ros__parameters'")
-        flat |= flatten(section["ros__parameters"])
-    return {name: value for name, value in flat.items() if name.split(".")[0] not in ROS_PARAMETERS}

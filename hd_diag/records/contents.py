@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import re
 from collections.abc import Iterator
 from contextlib import suppress
@@ -113,21 +114,17 @@ def numbers(reader: BagReader, topic: Topic) -> tuple[list[NumericField], str]:
 def pairs(angles: list[NumericField]) -> list[AnglePair]:
     """Inputs with their outputs: they turn in proportion, by a gear's ratio or as two encoders of a side."""
     usable = [n for n in angles if n.kind == "angle" and n.moves and not _COMMANDED.search(n.field)]
-    found: dict[int, AnglePair] = {}
-    for one in usable:
-        for other in usable:
-            slope = None if one is other else _slope(one, other)
-            if slope is None:
-                continue
-            pair = AnglePair(one, other, slope)
-            is_gear = not pair.counted and _RATIOS[0] <= abs(slope) <= _RATIOS[1]
-            at_motor = _at_motor(one) and not _at_motor(other)
-            is_counter = pair.counted and (at_motor or other.unit != _COUNTS)
-            if is_gear or is_counter or (pair.divided and at_motor):
-                known = found.get(id(other))
-                if known is None or _nearness(pair) > _nearness(known):
-                    found[id(other)] = pair
-    return list(found.values())
+    found: dict[int, list[AnglePair]] = {}
+    for one, other in itertools.permutations(usable, 2):
+        if (slope := _slope(one, other)) is None:
+            continue
+        pair = AnglePair(one, other, slope)
+        is_gear = not pair.counted and _RATIOS[0] <= abs(slope) <= _RATIOS[1]
+        at_motor = _at_motor(one) and not _at_motor(other)
+        is_counter = pair.counted and (at_motor or other.unit != _COUNTS)
+        if is_gear or is_counter or (pair.divided and at_motor):
+            found.setdefault(id(other), []).append(pair)
+    return [max(own, key=_nearness) for own in found.values()]
 
 
 def beside(every: list[NumericField], output: NumericField, *kinds: str) -> NumericField | None:

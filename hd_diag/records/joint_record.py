@@ -50,14 +50,8 @@ class _Samples(NamedTuple):
 def read_bags(paths: Sequence[str | Path], joint: JointConfig) -> Record:
     """A joint's record from one bag or several, each of which begins a new run, as a clock set back does.
 
-    It is at the output angle's stamps, by the rules of `hd_diag.streams.alignment`.
-
-    Raises
-    ------
-    BagError
-        Where a bag cannot be read.
-    RecordError
-        Where the joint has no input or output angle in them, or too little of them.
+    It is at the output angle's stamps, by the rules of `hd_diag.streams.alignment`. Raises BagError where a
+    bag cannot be read, RecordError where the joint has no input or output angle in them, or too little.
     """
     found = _read_all(paths, joint, lambda samples: np.isfinite(samples.output_angle))
     time, stretch, given, own, torque, speed, warm, stamps = found
@@ -73,7 +67,7 @@ def read_bags(paths: Sequence[str | Path], joint: JointConfig) -> Record:
 
 
 def nothing(paths: Sequence[str | Path], joint: JointConfig, stamps: Stamps | None = None) -> str:
-    """What is missing in bags, and why or what there is; of one angle what a driver would have to publish."""
+    """Say which angle bags lack, and why or what they hold; for one angle, what a driver has to publish."""
     roles = (joint.signals.input, joint.input_joint), (joint.signals.output, joint.output_joint)
     given, measured = (place(*role) for role in roles)
     text = f"no input angle ({given}) with output angle ({measured}) in {', '.join(map(str, paths))}"
@@ -94,16 +88,8 @@ def nothing(paths: Sequence[str | Path], joint: JointConfig, stamps: Stamps | No
 class InputRecord:
     """Where a joint's input was and what it bore, whether or not its output was measured.
 
-    Attributes
-    ----------
-    time, input_angle : ndarray, shape (n,)
-        [s]; continuous over the turns [rad].
-    torque : ndarray, shape (n,), or None
-        On the link [N m].
-    bag : ndarray of int64, shape (n,)
-        Which recording each sample comes from.
-    stamps : Stamps
-        What became of samples that are not in it.
+    Columns of shape (n,): time [s], angle, continuous over the turns [rad], torque on the link [N m] or None,
+    number of the recording. `stamps` tells what became of samples that are not in it.
     """
 
     time: Floats
@@ -117,11 +103,7 @@ def read_motion(paths: Sequence[str | Path], joint: JointConfig) -> InputRecord 
     """A joint's motion from one bag or several, at the input angle's stamps; None where there is none.
 
     Where only the output's angle is reported, and a torque, it is that angle times the ratio, at its stamps.
-
-    Raises
-    ------
-    BagError
-        Where a bag cannot be read.
+    Raises BagError where a bag cannot be read.
     """
     found = _read_all(paths, joint, _is_input)
     if is_single := not found.time.size:
@@ -171,7 +153,7 @@ def _read_all(paths: Sequence[str | Path], joint: JointConfig, wanted: Callable[
 
 
 def _read(path: str | Path, joint: JointConfig, wanted: Callable[[Aligned], Any]) -> tuple[list[Any], Stamps]:
-    """Columns of one bag as `_Samples` has them, with stamps [ns], by these in each stretch."""
+    """Columns of one bag as in `_Samples`, but with stamps [ns]; sorted by stamp within each stretch."""
     streams = Alignment([joint.names._replace(torque=nan)], _REMEMBERED)
     nothing = np.zeros(0, np.int64)
     times, heat, size = [nothing], [np.zeros(0)], 0

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from hd_diag.bag.block import Topic
 from hd_diag.bag.errors import BagError
-from hd_diag.bag.reader import BagReader, Batch, Mixed
+from hd_diag.bag.reader import BagReader, Mixed
 from hd_diag.config.configuration import JointConfig
 from hd_diag.formatting import listed, visible
 from hd_diag.messages.fields import FieldReader
-from hd_diag.messages.joint_states import JOINT_STATE, JointStateReader, Rejection
+from hd_diag.messages.joint_states import JOINT_STATE, JointStateReader
 from hd_diag.messages.publications import INPUT, OWN_OUTPUTS, TEMPERATURE, temperature_topic
 from hd_diag.streams.columns import JointStates
 from hd_diag.streams.signals import ROLES, JointSignals, Signal, key
@@ -21,32 +21,16 @@ _LONGEST = 60  # of a name
 
 
 class JointTopics:
-    """What of a bag is read for some joints.
+    """What of a bag is read for some joints, whose signals are given by joint.
 
-    Parameters
-    ----------
-    reader : BagReader
-    signals : mapping of str to Signals
-        By joint.
-    usual : sequence of str, optional
-        Topics with joint states, for signals that have no topic of their own; by default all but a node's
-        outputs and those that signals are mapped to.
-    names : mapping of str to str, optional
-        Full names of the topics that signals and temperatures have, where the bag's differ.
+    Signals without a topic of their own are looked for in the topics `usual`, by default all with joint
+    states but a node's outputs and those that signals are mapped to. `names` gives the full names of the
+    topics of signals and temperatures where the bag's differ.
 
-    Attributes
-    ----------
-    readers : dict of str to JointStateReader or FieldReader
-        By topic.
-    types : dict of str to str
-        Types of these topics, and of the temperatures'.
-    temperatures : dict of str to str
-        Topics with temperatures in a type of their own, to joints.
+    Attributes: `readers` by topic; `types` of these topics and of the temperatures'; `temperatures`, the
+    joints of topics with temperatures in a type of their own.
 
-    Raises
-    ------
-    BagError
-        Where a topic is missing, or has no such field; it names what there is.
+    Raises BagError where a topic is missing, or has no such field; it names what there is.
     """
 
     def __init__(
@@ -90,14 +74,10 @@ class JointTopics:
         shapes: list[JointStates] = []
         refused: list[tuple[int, str]] = []
         for rows, batch in mixed.batches:
-            columns, rejected = self._columns(batch)
+            columns, rejected = self.readers[batch.topic.name].columns(batch.payload, batch.log_time)
             shapes += [states._replace(row=rows[states.row]) for states in columns]
             refused += [(int(rows[each.row]), each.reason) for each in rejected]
         return shapes, refused
-
-    def _columns(self, batch: Batch) -> tuple[list[JointStates], list[Rejection]]:
-        """Signals of messages of one topic."""
-        return self.readers[batch.topic.name].columns(batch.payload, batch.log_time)
 
     def _find(self, joint: str, signal: Signal) -> str:
         """Name that the bag has for a signal's topic."""

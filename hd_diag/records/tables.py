@@ -49,17 +49,10 @@ _LONGEST_LINE, _MOST_ROWS = 1 << 20, 50_000_000  # half a day at 1 kHz
 class Table:
     """How CSV files are read.
 
-    Attributes
-    ----------
-    columns : mapping of str to str
-        For keys of `COLUMNS` and ``record`` names in the files' first rows, each with ``[unit]`` and
-        ``*scale`` behind it where they are needed. A unit in the first row, ``angle [deg]``, counts too.
-    divided : bool
-        Whether the input angle is already divided by the ratio.
-    rate : float
-        Of files without a column of time [Hz]; 0 where they have one.
-    delimiter : str
-        Empty: found from the first row.
+    `columns` maps keys of `COLUMNS` and ``record`` to names in the files' first rows, each with ``[unit]``
+    and ``*scale`` behind it where needed; a unit in the first row, ``angle [deg]``, counts too. `divided`:
+    the input angle is already divided by the ratio. `rate` is that of files without a column of time [Hz], 0
+    where they have one. An empty delimiter is found from the first row.
     """
 
     columns: Mapping[str, str]
@@ -71,10 +64,7 @@ class Table:
 def read_tables(paths: Sequence[str | Path], table: Table, joint: JointConfig) -> Record:
     """A record from CSV files, each of which is a recording.
 
-    Raises
-    ------
-    RecordError
-        Where a file lacks a column, or a value is not a number.
+    Raises RecordError where a file lacks a column, or a value is not a number.
     """
     _check_both(table)
     found, units, stamps = columns_of(paths, table, joint, ("time", "input", "output"))
@@ -86,7 +76,7 @@ def read_tables(paths: Sequence[str | Path], table: Table, joint: JointConfig) -
 
 
 def _check_both(table: Table) -> None:
-    """Raise RecordError, saying what could be had, where there is but one angle."""
+    """Raise RecordError if only one angle is given, saying what could be done with it."""
     given = table.columns
     if ("input" in given) == ("output" in given):
         return
@@ -154,7 +144,7 @@ def columns_of(
 def _make_angles(
     found: dict[str, Floats], units: Mapping[str, Unit], joint: JointConfig, divided: bool
 ) -> None:
-    """Let counters go on where they run over, and the input be the wave generator's angle, in place."""
+    """Unwrap counters that overflow, and turn the input into the wave generator's angle, in place."""
     record, ratio = found["record"].astype(np.int64), joint.drive.kinematics.ratio
     for name in {"input", "output"} & units.keys():
         _count(found[name], units[name].counter, record)
@@ -171,7 +161,7 @@ def _make_angles(
 
 
 def _integrate(found: dict[str, Floats], record: Integers, names: Names) -> None:
-    """Put the velocity's integral in the input's place, by the rules of streams; nan where there is none."""
+    """Replace the input's velocity by its integral, as streams integrate it; nan where there is none."""
     if "output" not in found:
         raise RecordError("a velocity as input needs the output's angle, from which its integral goes on")
     columns = np.stack((found["output"], found["input"]), axis=1)
@@ -191,7 +181,7 @@ def _integrate(found: dict[str, Floats], record: Integers, names: Names) -> None
 
 
 def _count(angle: Floats, counter: float, record: Integers) -> None:
-    """Let a counter that runs over go on, in place; one that begins anew each turn is an angle that wraps."""
+    """Unwrap a counter that overflows, in place; one that restarts each turn is left as a wrapping angle."""
     if not counter:
         return
     from hd_diag.streams.kernel_encoder import continued  # late: it imports numba
@@ -203,7 +193,7 @@ def _count(angle: Floats, counter: float, record: Integers) -> None:
 
 
 def _follow(angle: Floats, record: Integers) -> None:
-    """Make angles that stay within a turn continuous, in place, recording by recording."""
+    """Unwrap angles that stay within a turn, in place, recording by recording."""
     for begin, end in bounds(record):
         if begin < end and np.ptp(angle[begin:end]) <= _TURN:
             angle[begin:end] = unwrapped(angle[begin:end])
@@ -248,7 +238,7 @@ def _lines(file: TextIO) -> Iterator[str]:
 
 
 def _possible(columns: dict[str, Floats]) -> tuple[dict[str, Floats], Stamps]:
-    """Rows without numbers that are none of a joint, and what was left out."""
+    """Drop rows with numbers that no joint can have, and say how many."""
     stamps = Stamps()
     for name, (largest, unit_name) in _LARGEST.items():
         wrong = np.flatnonzero(np.abs(columns.get(name, np.zeros(0))) > largest)

@@ -53,7 +53,7 @@ class ReportedStatus(NamedTuple):
         return self.hardware_id.removesuffix(tail) if self.hardware_id.endswith(tail) else ""
 
     def bounded(self) -> ReportedStatus:
-        """The same without what is too long or too much to keep."""
+        """The same with long texts cut and surplus values dropped."""
         values = {_cut(key): _cut(value) for key, value in list(self.values.items())[:_MOST_VALUES]}
         return ReportedStatus(_cut(self.name), self.level, _cut(self.message), values, _cut(self.hardware_id))
 
@@ -111,7 +111,7 @@ class JointView(NamedTuple):
 
 @dataclass
 class _Reports:
-    """What is carried of a joint from report to report."""
+    """State of a joint between its reports: the last status, when it came, periods and residuals."""
 
     status: ReportedStatus
     arrived: float

@@ -26,7 +26,7 @@ from hd_diag.ros.stop_signals import signalled
 
 
 class _Verbs(click.Group):
-    """What is wrong is one line on stderr."""
+    """A group whose errors are one line on stderr."""
 
     def resolve_command(self, context: click.Context, words: list[str]) -> Any:
         try:
@@ -37,47 +37,44 @@ class _Verbs(click.Group):
             raise click.UsageError(f"{error.message} {advice}", context) from error
 
     def make_context(self, *args: Any, **kwargs: Any) -> click.Context:
-        with _read_or_not():
+        with _checked_output():
             return super().make_context(*args, **kwargs)
 
     def invoke(self, context: click.Context) -> Any:
-        with _read_or_not():
+        with _checked_output():
             return super().invoke(context)
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         try:
             code = super().main(*args, **kwargs | {"standalone_mode": False})
         except Exception as error:
-            code, text = _ended(error)
+            code, text = _outcome(error)
             tell(f"hd-diag: {text}", err=True)
         sys.exit(code if isinstance(code, int) else 0)
 
 
 @contextmanager
-def _read_or_not() -> Iterator[None]:
-    """End well where nobody reads the rest: click ends with 1, which is that of a finding.
-
-    A full disk under what is printed is an error of one line.
-    """
+def _checked_output() -> Iterator[None]:
+    """Exit with 0 if the reader of stdout closes it (click exits with 1); report a full disk in one line."""
     try:
         yield
     except BrokenPipeError:
-        _print_no_more()
+        _discard_output()
         sys.exit(0)
     except OSError as error:
         if error.errno != errno.ENOSPC or error.filename is not None:
             raise
-        _print_no_more()
+        _discard_output()
         raise Problem(f"the output cannot be written: {error.strerror}") from error
 
 
-def _print_no_more() -> None:
-    """Let nothing come of what the interpreter has still to print."""
+def _discard_output() -> None:
+    """Send what the interpreter has still to print to /dev/null."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _ended(error: Exception) -> tuple[int, str]:
-    """Exit code of what ended a verb, and the line on it; raises what nobody expects."""
+def _outcome(error: Exception) -> tuple[int, str]:
+    """Exit code and line for an error that ended a verb; raises any that is not expected."""
     if code := signalled(error):
         return code, "interrupted"
     if isinstance(error, click.ClickException):
@@ -128,7 +125,3 @@ def main() -> None:
     if "_HD_DIAG_COMPLETE" in os.environ:
         import_module("hd_diag.cli.completion")  # how bash asks
     cli()
-
-
-if __name__ == "__main__":
-    main()
