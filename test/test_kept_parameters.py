@@ -14,7 +14,7 @@ from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.record import Record, prepare
 from hd_diag.diagnosis.search.causes import Search, parameters_of
-from hd_diag.diagnosis.search.kept_parameters import GROUPS, Kept, all_kept, kept_parameters
+from hd_diag.diagnosis.search.kept_parameters import GROUPS, Kept, keeping, kept_parameters
 
 AS_CONFIGURED = fit_parameters.vector(CONFIGURED, CONFIGURED)
 
@@ -108,7 +108,7 @@ def test_intervals_reach_the_minima_that_do_as_well() -> None:
 
 
 def test_all_may_be_held() -> None:
-    fit, kept = all_kept(settle(linearise(swinging(), CONFIGURED, POINT), ()), ())
+    fit, kept = keeping(settle(linearise(swinging(), CONFIGURED, POINT), ()), (), GROUPS)
     assert set(kept.bounds) == set(GROUPS)
     assert fit.parameters == pytest.approx(AS_CONFIGURED)
     assert kept.bounds["eccentricity"] > 11.0  # it is 12 um

@@ -22,7 +22,7 @@ from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.screening import Screened, screened, without_misleading_torque
 from hd_diag.diagnosis.search.causes import Cause, Search, doubted, motor_deviations, refitted
 from hd_diag.diagnosis.search.detectability import Detectability, testability
-from hd_diag.diagnosis.search.kept_parameters import Kept, all_kept, kept_parameters
+from hd_diag.diagnosis.search.kept_parameters import DISPLACEMENTS, GROUPS, Kept, keeping, kept_parameters
 from hd_diag.diagnosis.search.order_table import OrderRow
 from hd_diag.diagnosis.search.selection import alone, search
 from hd_diag.diagnosis.search.unexplained import Unexplained, unexplained, with_table
@@ -225,16 +225,21 @@ def _predicting(
     with fit.work.until(_KEPT, "testing which parameters may be as configured"):
         fit, kept = kept_parameters(fit, found.chosen)
     best = tried(fit, kept, found)
-    if kept.bounds and best.rms.misfit.suspected:
-        free = tried(found.fit, Kept({}), found)
-        best = best if free.rms.misfit.suspected else free
+    if best.rms.misfit.suspected:  # too much may be held
+        displacements = kept.bounds.keys() & DISPLACEMENTS
+        for fewer in sorted({frozenset(displacements), frozenset[str]()}, key=len, reverse=True):
+            if fewer < kept.bounds.keys():
+                freer = tried(*keeping(found.fit, found.chosen, fewer), found)
+                if not freer.rms.misfit.suspected:
+                    best = freer
+                    break
     lines = tuple(item for item in found.chosen if item[0].given or isinstance(item[0], OutputLine))
     left = best.rms.by_causes(record.by_current)
     if found.chosen != lines and left > _WORSE * min(best.rms.refit, best.rms.nominal):
         found = Search(settle(plain, lines) if lines else plain, (), lines)
         best = tried(*kept_parameters(found.fit, lines), found)
     if best.rms.extended > _WORSE * best.rms.nominal:
-        best = tried(*all_kept(best.found.fit, best.found.chosen), found)
+        best = tried(*keeping(best.found.fit, best.found.chosen, GROUPS), found)
     found = with_table(best.found)
     if any(row.repeats for row in found.table):
         rms, gain = measured_gain(record, test, which, plain, found, best.every, rng)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -25,6 +25,8 @@ GROUPS: dict[str, tuple[int, ...]] = {
     "cup_compliance": (6,),
 }
 """Parameters that are judged together: their numbers."""
+
+DISPLACEMENTS = frozenset(("eccentricity", "runout"))
 
 _PLAIN = 400.0  # square of standard deviations beyond which no test is needed
 _NOISE = {"eccentricity": 16.0, "runout": 16.0}  # fall of the deviance that noise hardly ever brings
@@ -131,15 +133,17 @@ def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, 
         held = [*held, "runout"]
         best, _ = _trial(best, chosen, held)
     bounds = _bounds(fit, chosen, [*undetermined, *held])
-    if {"eccentricity", "runout"} <= bounds.keys():  # beside none a runout is free to be anything
+    if bounds.keys() >= DISPLACEMENTS:  # beside none a runout is free to be anything
         bounds["runout"] = _bound(replace(best, held=()), chosen, "runout")
     return best, Kept(bounds, rivals if held else rivals[1:])
 
 
-def all_kept(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Kept]:
-    """All groups held at their configured values; see :func:`kept_parameters`."""
-    trial, _ = _trial(fit, chosen, [*GROUPS])
-    return trial, Kept(_bounds(fit, chosen, list(GROUPS)))
+def keeping(fit: LinearisedFit, chosen: Chosen, names: Collection[str]) -> tuple[LinearisedFit, Kept]:
+    """Some groups held at their configured values; see :func:`kept_parameters`."""
+    if not names:
+        return fit, Kept({})
+    trial, _ = _trial(fit, chosen, [*names])
+    return trial, Kept(_bounds(fit, chosen, [*names]))
 
 
 def _undisplaced(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, list[Floats]]:
