@@ -146,6 +146,20 @@ def test_zsh_and_fish_complete_the_value_of_an_option_with_an_equals_sign(
     assert (run.stdout.splitlines(), run.stderr) == (told, "")
 
 
+def test_what_nobody_reads_on_costs_no_file_and_no_exit_code(tmp_path: Path) -> None:
+    """``hd-diag ... | head``: a diagnosis prints before it writes, and its finding is a code."""
+    found, table = tmp_path / "found.json", tmp_path / "table.csv"
+    rows = "\n".join(f"{k / 100},{k / 20},{k / 20},0" for k in range(400))  # one sensor given twice
+    table.write_text(f"time,input,output,torque\n{rows}\n")
+    columns = "time=time,input=input,output=output,torque=torque"
+    command = [sys.executable, "-m", "hd_diag", "diagnose", table, "--columns", columns, "--json", found]
+    read, write = os.pipe()
+    os.close(read)
+    run = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, timeout=120)
+    os.close(write)
+    assert (run.returncode, json.loads(found.read_text())["judgement"]) == (2, "not_judged")
+
+
 # check ---
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 import click
 
@@ -23,7 +24,20 @@ def tell(line: str, *, err: bool = False) -> None:
     if stream.isatty():
         indent = " " * (len(line) - len(line.lstrip()))
         line = click.wrap_text(line.strip(), shutil.get_terminal_size().columns, indent, f"{indent}  ")
-    click.echo(line, err=err)
+    show(f"{line}\n", err=err)
+
+
+def show(text: str, *, err: bool = False) -> None:
+    """Print text as it is; where its reader has gone (``head``), drop it and what follows, and go on."""
+    try:
+        click.echo(text, nl=False, err=err)
+    except BrokenPipeError:
+        discard_output(sys.stderr if err else sys.stdout)
+
+
+def discard_output(stream: TextIO) -> None:
+    """Send what a stream has still to print to /dev/null."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def number_table(*columns: str, title: str | None = None) -> Table:
@@ -45,4 +59,4 @@ def show_table(table: Table) -> None:
     console.width = max(console.width, console.measure(table, options=wide).minimum)
     with console.capture() as text:  # rich would end the program, with 1, where nobody reads
         console.print(table)
-    click.echo(text.get(), nl=False)
+    show(text.get())

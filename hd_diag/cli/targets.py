@@ -12,6 +12,7 @@ from typing import Any
 
 import click
 
+from hd_diag.cli.lines import show
 from hd_diag.formatting import json_ready
 from hd_diag.whole_file import whole_file
 
@@ -62,7 +63,7 @@ def write_json(path: str | None, result: Any) -> bool:
     if path:
         text = json.dumps(json_ready(result), indent=1, allow_nan=False)
         if path == "-":
-            click.echo(text)
+            show(f"{text}\n")
             return False
         with writing(path) as place:
             place.write_text(text + "\n", encoding="utf-8")

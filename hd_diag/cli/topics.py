@@ -6,12 +6,11 @@ import re
 from pathlib import Path
 from typing import Any
 
-import click
 import numpy as np
 
 from hd_diag.bag.block import Topic
 from hd_diag.bag.reader import BagReader
-from hd_diag.cli.lines import tell
+from hd_diag.cli.lines import show, tell
 from hd_diag.cli.targets import write_json
 from hd_diag.config.parameter_file import text
 from hd_diag.config.parameters import Value
@@ -152,4 +151,4 @@ def _tell(result: dict[str, Any]) -> None:
     for joint in result["joints"]:
         tell(f"{joint['name']}: {joint['said']}")
     tell("to paste into a parameter file:")
-    click.echo(result["mapping"])
+    show(f"{result['mapping']}\n")

@@ -19,7 +19,7 @@ import click
 
 import hd_diag
 from hd_diag.cli import options
-from hd_diag.cli.lines import tell
+from hd_diag.cli.lines import discard_output, tell
 from hd_diag.cli.targets import Problem
 from hd_diag.cli.verbs import bags, drives, records, ros
 from hd_diag.ros.stop_signals import signalled
@@ -59,18 +59,13 @@ def _checked_output() -> Iterator[None]:
     try:
         yield
     except BrokenPipeError:
-        _discard_output()
+        discard_output(sys.stdout)
         sys.exit(0)
     except OSError as error:
         if error.errno != errno.ENOSPC or error.filename is not None:
             raise
-        _discard_output()
+        discard_output(sys.stdout)
         raise Problem(f"the output cannot be written: {error.strerror}") from error
-
-
-def _discard_output() -> None:
-    """Send what the interpreter has still to print to /dev/null."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _outcome(error: Exception) -> tuple[int, str]:
