@@ -15,7 +15,6 @@ from mcap.records import Channel, Schema
 from rosbags.interfaces import Qos
 
 from hd_diag.arrays import Bytes, Times
-from hd_diag.bag.block import LongMessage
 from hd_diag.bag.errors import BagError
 from hd_diag.bag.mcap_file import COMPRESSIONS, McapFile, Stream, Written
 from hd_diag.bag.place import Disk, Place
@@ -147,7 +146,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self,
         topic: str,
         type_name: str,
-        data: bytes | memoryview | LongMessage,
+        data: bytes | memoryview | Bytes,
         log_time: int,
         publish_time: int | None = None,
         qos: Qos | None = None,
