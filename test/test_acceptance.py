@@ -18,7 +18,7 @@ from hd_diag.diagnosis.search.acceptance import (
     least_size,
     needed,
     of_shapes,
-    only_mends,
+    only_corrects_shape,
     passing,
     size,
 )
@@ -80,10 +80,10 @@ def test_the_shape_of_a_torsion_that_goes_with_position_is_no_runout() -> None:
     assert best.p_value < FAMILY_ERROR / 50
     assert LEAST_SIZE < size(bent, (), RUNOUT, ()) < imitated(bent, (), RUNOUT, ())
     chosen = ((RUNOUT, ()),)
-    assert only_mends(bent.corrected(chosen), chosen, 0)
+    assert only_corrects_shape(bent.corrected(chosen), chosen, 0)
     off_centre = bench(of(RUNOUT, amplitude=20.0 * ARCSEC, direction=0.3), record=arm)
     assert passing(off_centre, (), ranked(off_centre, (), [RUNOUT]), 50) is not None
-    assert not only_mends(off_centre.corrected(chosen), chosen, 0)
+    assert not only_corrects_shape(off_centre.corrected(chosen), chosen, 0)
 
 
 def test_zeros_of_the_encoders_have_no_shape_to_be_wrong() -> None:
@@ -210,7 +210,7 @@ def test_what_stays_beside_the_first_law_s_other_shapes_is_none_of_them() -> Non
     both = RUBBING, (offset, ())
     looped = looped.corrected(both)
     assert LEAST_SIZE < size(looped, both[:1], offset, ()) < of_shapes(looped, both[:1], offset)
-    assert not only_mends(looped, both, 1)
+    assert not only_corrects_shape(looped, both, 1)
 
     def greased(signals: Signals) -> np.ndarray:
         return (
@@ -225,7 +225,7 @@ def test_what_stays_beside_the_first_law_s_other_shapes_is_none_of_them() -> Non
     both = (viscous, (1.0,)), (dry, second.nonlinear)
     slow = slow.corrected(both)
     assert size(slow, both[:1], *both[1]) > LEAST_SIZE
-    assert only_mends(slow, both, 1)
+    assert only_corrects_shape(slow, both, 1)
 
 
 def test_another_law_of_torsion_is_no_shape_of_it(made: LinearisedFit) -> None:

@@ -23,9 +23,9 @@ from hd_diag.diagnosis.search.kept_parameters import kept_parameters
 from hd_diag.diagnosis.search.ranking import candidates, family_size
 from hd_diag.diagnosis.search.selection import (
     _next,
-    _on_the_other_flank,
+    _ranked_when_settled,
     _refitted,
-    _settled_first,
+    _with_torque_zero,
     search,
     speed_dependent,
 )
@@ -81,11 +81,11 @@ def test_parameters_that_imitate_a_cause_are_left_for_those_fitted_beside_it() -
     """Fitted without a large delay they are far off; beside each candidate they are searched for again."""
     rng, away = np.random.default_rng(0), np.array([-8.0, 9.0, 4.0, 0.0, 9.0, 2.0, 3.0])
     misled = bench(of(EFFECTS["stream_delay"], delay=5e-3)).moved(POINT + away)
-    fit, best = _settled_first(misled, (), candidates(misled, ()), rng, POINT)
+    fit, best = _ranked_when_settled(misled, (), candidates(misled, ()), rng, POINT)
     assert np.abs(fit.parameters - POINT).max() < 1.0
     assert best[0].effect.name == "stream_delay"
     plain = settle(bench(of(EFFECTS["output_runout"], amplitude=20.0 * ARCSEC, direction=0.3)), ())
-    assert _settled_first(plain, (), candidates(plain, ()), rng, plain.parameters)[0] is plain
+    assert _ranked_when_settled(plain, (), candidates(plain, ()), rng, plain.parameters)[0] is plain
 
 
 def wave(order: float) -> Part:
@@ -213,7 +213,7 @@ def test_a_zero_that_puts_torques_on_the_other_flank_is_tried_at_its_size(zero: 
     light = dataclasses.replace(record, torque=shown, reported_torque=shown, output_angle=output)
     fit = settle(linearise(light, CONFIGURED, POINT), ())
     begun = Refit(TRUE, POINT, np.eye(7), True, torque_zero=zero)
-    found = _on_the_other_flank(fit, candidates(fit, ()), begun)
+    found = _with_torque_zero(fit, candidates(fit, ()), begun)
     assert (found is not None) is led
     if found is not None:
         assert found[1][0].effect.name == "torque_offset"
@@ -302,7 +302,7 @@ def test_what_parameters_imitate_nearly_whole_is_tried_settled_beside_a_small_ca
     """Worn teeth are a datum farther out but for little; a pitch error takes more of that little at first."""
     plain = settle(bench(of(EFFECTS["wear_backlash"], clearance=8e-6), record=swinging(40.0)), (), rounds=8)
     best = candidates(plain, ())
-    fit, led = _settled_first(plain, (), best, np.random.default_rng(0), plain.parameters)
+    fit, led = _ranked_when_settled(plain, (), best, np.random.default_rng(0), plain.parameters)
     assert max(best, key=lambda one: one.gain).effect.name == "circular_spline_pitch"
     assert led[0].effect.name == "wear_backlash"
     assert abs(plain.parameters[DATUM] - POINT[DATUM]) > 20.0

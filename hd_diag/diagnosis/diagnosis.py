@@ -24,7 +24,7 @@ from hd_diag.diagnosis.search.causes import Cause, Search, doubted, motor_deviat
 from hd_diag.diagnosis.search.detectability import Detectability, testability
 from hd_diag.diagnosis.search.kept_parameters import DISPLACEMENTS, GROUPS, Kept, keeping, kept_parameters
 from hd_diag.diagnosis.search.order_table import OrderRow
-from hd_diag.diagnosis.search.selection import alone, search
+from hd_diag.diagnosis.search.selection import is_only_minimum, search
 from hd_diag.diagnosis.search.unexplained import Unexplained, unexplained, with_table
 from hd_diag.diagnosis.search.unmodelled_terms import OutputLine, UnmodelledTerm
 from hd_diag.diagnosis.work import Work
@@ -170,7 +170,9 @@ def diagnose(
     del begun, plain, found, best, every  # some hundred columns each
     parameters, spread = kept.spread(whole)
     # Minima beside a drive without displacement are no rivals of it; nor those that only a cause made alike.
-    certain = first.trustworthy or "eccentricity" in kept.bounds or alone(whole.fit, whole.chosen, rng)
+    certain = (
+        first.trustworthy or "eccentricity" in kept.bounds or is_only_minimum(whole.fit, whole.chosen, rng)
+    )
     trustworthy = certain and not fit_parameters.at_bound(parameters, configured)
     drive = fit_parameters.drive_of(parameters, configured)
     work.tell(0.92, "looking at what no cause explains")

@@ -56,7 +56,7 @@ def passing(fit: LinearisedFit, chosen: Chosen, ranked: list[Candidate], family:
     return None
 
 
-def only_mends(fit: LinearisedFit, chosen: Chosen, index: int) -> bool:
+def only_corrects_shape(fit: LinearisedFit, chosen: Chosen, index: int) -> bool:
     """Whether one of the chosen effects is no more than the others' shape, or that of what imitates it.
 
     It belongs to the fit all the same: left out, what is nearest to it would be named for it. What stays

@@ -13,7 +13,13 @@ from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.design import interval, lower_bound
 from hd_diag.diagnosis.fit.joint_refinement import covariance
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
-from hd_diag.diagnosis.search.acceptance import block_deviances, held_out_gain, only_mends, smooth, wanders
+from hd_diag.diagnosis.search.acceptance import (
+    block_deviances,
+    held_out_gain,
+    only_corrects_shape,
+    smooth,
+    wanders,
+)
 from hd_diag.diagnosis.search.order_table import OrderRow, refitted_rows
 from hd_diag.diagnosis.search.ranking import by_name, ranked
 from hd_diag.diagnosis.search.remainder import Remainder
@@ -142,7 +148,9 @@ def doubted(found: Search) -> Search:
     """The same, with smooth causes doubtful that only mend a shape, or that an unmodelled term beats."""
     fit, chosen, judged = found.fit, found.chosen, []
     for index, cause in enumerate(found.causes):
-        doubtful = smooth(cause.effect) and (only_mends(fit, chosen, index) or _beaten(fit, chosen, index))
+        doubtful = smooth(cause.effect) and (
+            only_corrects_shape(fit, chosen, index) or _beaten(fit, chosen, index)
+        )
         judged.append(replace(cause, doubtful=doubtful))
     return replace(found, causes=tuple(judged))
 

@@ -26,11 +26,11 @@ def refined(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
     if free(effect):
         chosen = (*chosen[:-1], (effect, best_nonlinear(fit, chosen[:-1], effect, nonlinear)))
         fit = settle(fit, chosen, rounds=1)
-    return _of_kind(fit, chosen, len(chosen) - 1)
+    return _best_discrete_values(fit, chosen, len(chosen) - 1)
 
 
-def clear(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
-    """On the rows that can be used if the effects change the torque."""
+def on_certain_rows(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
+    """Exclude rows where the torque that the effects leave may be near zero, and fit again."""
     sized = fit.sized(chosen, fit.fit(chosen)[0])
     certain = fit.clear_of(fit.effects.torque(sized))
     return (fit, chosen) if certain is fit else refined(certain.beside(sized), chosen)
@@ -43,7 +43,7 @@ def swapped(fit: LinearisedFit, chosen: Chosen, rivals: set[str]) -> tuple[Linea
     """
     for index, (effect, _) in enumerate(chosen[:-1]):
         if effect.stage > Stage.GEAR:
-            fit, chosen = _of_kind(fit, chosen, index)
+            fit, chosen = _best_discrete_values(fit, chosen, index)
     for index in range(len(chosen)):
         effect, nonlinear = chosen[index]
         if effect.given:
@@ -56,7 +56,7 @@ def swapped(fit: LinearisedFit, chosen: Chosen, rivals: set[str]) -> tuple[Linea
             continue
         trial, there = (*others, (found[0].effect, found[0].nonlinear)), without
         if effect.size >= _FLEXIBLE and found[0].effect.name == effect.name:
-            there, trial = _divided(without, others, found[1:], rivals - {effect.name})
+            there, trial = _two_in_place_of_one(without, others, found[1:], rivals - {effect.name})
         if trial != again and deviance_of(there, trial) < least:
             fit, there = _settled(fit, chosen), _settled(there.corrected(trial), trial)
             if there.deviance(trial) < fit.deviance(chosen) - CLASS_DEVIANCE:
@@ -65,11 +65,11 @@ def swapped(fit: LinearisedFit, chosen: Chosen, rivals: set[str]) -> tuple[Linea
 
 
 def _settled(fit: LinearisedFit, chosen: Chosen) -> LinearisedFit:
-    """At the end of its way: one that has not come as far says nothing against another."""
+    """Settled in many rounds: only then may two sets of effects be compared."""
     return settle(fit, chosen, _TO_THE_END, learn=False)
 
 
-def _divided(
+def _two_in_place_of_one(
     fit: LinearisedFit, others: Chosen, found: list[Candidate], rivals: set[str]
 ) -> tuple[LinearisedFit, Chosen]:
     """The fit beside the two best causes in place of a shape that may imitate both."""
@@ -105,7 +105,7 @@ def _finished(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen
 
 
 def _without_idle(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
-    """Less each cause that the parameters replace once they have moved: no single step leads there."""
+    """Drop each cause without which the parameters, settled anew, fit as well."""
     for index, (effect, _) in enumerate(chosen):
         if effect.given or isinstance(effect, UnmodelledTerm):
             continue
@@ -116,8 +116,8 @@ def _without_idle(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Ch
     return fit, chosen
 
 
-def _of_kind(fit: LinearisedFit, chosen: Chosen, index: int) -> tuple[LinearisedFit, Chosen]:
-    """An effect that carries others, at its best discrete values with everything else settled beside it."""
+def _best_discrete_values(fit: LinearisedFit, chosen: Chosen, index: int) -> tuple[LinearisedFit, Chosen]:
+    """The fit with the best discrete values of an effect that carries others, all else settled."""
     effect, nonlinear = chosen[index]
     if effect.stage <= Stage.GEAR:
         return fit, chosen

@@ -72,13 +72,15 @@ class Kept:
         describes all rows as well.
         """
         found, spread = parameters_of(whole)
-        plain, worst = _reach(spread), _as_good(whole.fit, whole.chosen)
+        plain, worst = _half_widths(spread), _as_good(whole.fit, whole.chosen)
         reach = plain.copy()
         for there in self._rivals(whole):
             if there.deviance(whole.chosen) < worst:
                 other, own = parameters_of(replace(whole, fit=there))
-                away = min((np.abs(one - found) for one in (other, other * MIRRORED)), key=_displaced)
-                reach = np.maximum(reach, away + _reach(own))
+                away = min(
+                    (np.abs(one - found) for one in (other, other * MIRRORED)), key=_squared_displacement
+                )
+                reach = np.maximum(reach, away + _half_widths(own))
         longer = reach / np.maximum(plain, 1e-150)
         spread = spread * np.multiply.outer(longer, longer)
         for name, bound in self.bounds.items():
@@ -179,7 +181,7 @@ def _away(fit: LinearisedFit, chosen: Chosen) -> tuple[Floats, Floats]:
     """How far the parameters are from the configured ones, lobes swapped if that is nearer; covariance."""
     configured = fit_parameters.vector(fit.data.configured, fit.data.configured)
     found, own = _fitted(fit, chosen), slice(COUNT)
-    away = min((found - configured, found * MIRRORED - configured), key=_displaced)
+    away = min((found - configured, found * MIRRORED - configured), key=_squared_displacement)
     open_ = fit_parameters.scaling(found, fit.data.held, fit.data.configured)
     return away, covariance(fit, chosen)[0][own, own] + open_
 
@@ -189,12 +191,12 @@ def _fitted(fit: LinearisedFit, chosen: Chosen) -> Floats:
     return np.asarray(fit.parameters + fit.fit(chosen)[0][:COUNT])
 
 
-def _displaced(away: Floats) -> float:
+def _squared_displacement(away: Floats) -> float:
     """How far from none the displacements are."""
     return float(np.sum(away[:4] ** 2))
 
 
-def _reach(spread: Floats) -> Floats:
+def _half_widths(spread: Floats) -> Floats:
     """Of 95 % intervals, shape (7,)."""
     return np.asarray(_TWO_SIDED * np.sqrt(np.diag(spread)))
 
@@ -212,14 +214,14 @@ def _held(fit: LinearisedFit, chosen: Chosen, names: list[str]) -> LinearisedFit
     ways = (start - fit.parameters, start * MIRRORED - fit.parameters)
     linear = free.holding(np.array(numbers), min(ways, key=lambda way: float(way @ way))[numbers])
     fall, gain = linear.deviance() - free.deviance(), linear.held_out() - free.held_out()
-    if fall > _PLAINLY * noise and _pays(fall, gain):
+    if fall > _PLAINLY * noise and _confirmed(fall, gain):
         return None
     trial, gain = _trial(fit, chosen, names)
     fall = trial.deviance(chosen) - free.deviance()
-    return None if fall > noise and _pays(fall, gain) else trial
+    return None if fall > noise and _confirmed(fall, gain) else trial
 
 
-def _pays(fall: float, gain: Floats) -> bool:
+def _confirmed(fall: float, gain: Floats) -> bool:
     """Whether held-out blocks confirm a fall of the deviance."""
     lost, won = -float(gain[gain < 0.0].sum()), float(gain[gain > 0.0].sum())
     return won - lost > _PREDICTED * fall and (lower_bound(gain) > 0.0 or lost < _AGREEING * won)
@@ -230,7 +232,7 @@ def _start(fit: LinearisedFit, names: list[str]) -> tuple[Floats, list[int]]:
     numbers = [number for name in names for number in GROUPS[name]]
     configured = fit_parameters.vector(fit.data.configured, fit.data.configured)
     points = (fit.parameters, fit.parameters * MIRRORED)
-    start = min(points, key=lambda x: _displaced(x - configured)).copy()
+    start = min(points, key=lambda x: _squared_displacement(x - configured)).copy()
     start[numbers] = configured[numbers]
     return start, numbers
 

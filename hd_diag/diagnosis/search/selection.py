@@ -17,9 +17,9 @@ from hd_diag.diagnosis.search.acceptance import FAMILY_ERROR, by_chance, needed,
 from hd_diag.diagnosis.search.causes import Search, causes
 from hd_diag.diagnosis.search.exchange import (
     best_nonlinear,
-    clear,
     deviance_of,
     finished_in_time,
+    on_certain_rows,
     refined,
     swapped,
 )
@@ -39,13 +39,15 @@ _SLOW = 0.34  # share of the samples that count as slow
 _MOST_TERMS = 3  # unmodelled, beside lines of the output's turn
 _RIVALS = 6  # best candidates of a round that are tried later in place of others
 _UNEVEN = 1.3  # ratio of the residual at high and low speed from which both are fitted apart
-_AS_MUCH, _HALF = 0.9, 0.5  # of the best candidate's gain, that its rivals have; where they move the drive
-_HIDDEN = 0.05  # of a cause's columns, that parameters leave of what they imitate nearly whole
-_ALONG_A_VALLEY = 8  # rounds in which parameters reach another drive
-_FAR = 2.0  # times the noise's deviance, that is left where parameters are wrong still
-_LARGE = 0.1  # of the noise's deviance, that a cause explains which parameters may imitate
+_AS_MUCH = 0.9  # share of the best candidate's gain from which another is tried with all settled
+_HALF = 0.5  # the same for candidates beside which the parameters are those of another drive
+_HIDDEN = 0.05  # share of a cause's columns below which the parameters imitate it
+_ALONG_A_VALLEY = 8  # rounds of settling in which the parameters can reach another drive
+_FAR = 2.0  # deviance over that of noise above which the parameters are still taken for wrong
+_LARGE = 0.1  # gain over the deviance of noise above which a cause may have misled the parameters
 _RESTARTS = 3  # causes found, up to which each lets the model's parameters be searched for again
-_ZERO, _TURNED = "torque_offset", 0.1  # share of the torques, that it puts on the other flank
+_ZERO = "torque_offset"
+_TURNED = 0.1  # share of the torques that another zero must put on the other flank
 _PLAINLY = 10.0  # surprise by which an unmodelled term must beat all causes to come before them
 _RESOLVED = 5.0  # surprise by which a wave of any order must beat a whole number per output turn
 _RESTART_GAIN = 12.0  # deviance by which another minimum must beat the present one
@@ -105,13 +107,13 @@ def _rounds(
     for number in range(_MOST_CAUSES + _MOST_TERMS + len(OUTPUT_LINES)):
         fit.work.tell(_LAST - (_LAST - _FIRST) * _ROUND**number, f"looking for cause {len(chosen) + 1}")
         fit = fit.recentred()
-        best = candidates(fit, chosen) if _named(chosen) < _MOST_CAUSES else []
-        if not chosen and begun and (turned := _on_the_other_flank(fit, best, begun)):
+        best = candidates(fit, chosen) if _count_named(chosen) < _MOST_CAUSES else []
+        if not chosen and begun and (turned := _with_torque_zero(fit, best, begun)):
             fit, best = turned
         else:
             if not chosen and speed_dependent(fit):
-                fit, best = _begun_slowly(fit, best, rng)
-            fit, best = _settled_first(fit, chosen, best, rng, begun.parameters if begun else None)
+                fit, best = _refitted_at_low_speed(fit, best, rng)
+            fit, best = _ranked_when_settled(fit, chosen, best, rng, begun.parameters if begun else None)
         rivals |= {candidate.effect.name for candidate in best[:_RIVALS]}
         found = _next(fit, chosen, family, best)
         if found is None:
@@ -119,7 +121,7 @@ def _rounds(
         p_values[found.effect.name] = found.p_value
         chosen = (*chosen, (found.effect, found.nonlinear))
         fit, chosen = refined(fit, chosen)
-        fit, chosen = clear(fit, chosen)
+        fit, chosen = on_certain_rows(fit, chosen)
         if isinstance(found.effect, UnmodelledTerm):  # a cause that was only the nearest to it may go
             chosen = needed(fit, chosen)
             yield fit, chosen
@@ -152,7 +154,12 @@ def _next(fit: LinearisedFit, chosen: Chosen, family: int, best: list[Candidate]
     return (
         (passing(fit, chosen, leading, family) if ahead else None)
         or passing(fit, chosen, best[:3], family)
-        or passing(fit, chosen, [_between(fit, chosen, one) for one in likely if free(one.effect)], family)
+        or passing(
+            fit,
+            chosen,
+            [_between_grid_points(fit, chosen, one) for one in likely if free(one.effect)],
+            family,
+        )
         or passing(fit, chosen, terms, family)
     )
 
@@ -173,15 +180,14 @@ def _margin(term: Candidate, cause: Candidate) -> float:
     return -_RESOLVED if isinstance(term.effect, OutputLine) and of_any_order else _PLAINLY
 
 
-def _settled_first(
+def _ranked_when_settled(
     fit: LinearisedFit, chosen: Chosen, best: list[Candidate], rng: np.random.Generator, begun: Floats | None
 ) -> tuple[LinearisedFit, list[Candidate]]:
-    """The candidates, the best few in the order of what they leave when all is settled beside them.
+    """Fit and candidates, the best few ranked by the deviance left once all is settled beside each.
 
-    Beside a large cause the model's parameters are wrong: what little any leaves there says nothing. Fitted
-    without one they imitate it, away from where they began or at a bound: then they are searched for again.
-    Nor does what one leaves that the parameters imitate, until they have moved: beside what explains little
-    each of those is tried that the parameters imitate nearly whole.
+    Parameters fitted without a large cause imitate it, and end away from where they began or at a bound. They
+    are then searched for again beside each rival. Candidates that the parameters imitate nearly whole are
+    always tried settled: their linear gain says nothing.
     """
     rows, before = int(np.count_nonzero(fit.residual_white)), fit.deviance(chosen)
     far = before - max((one.gain for one in best), default=0.0) > _FAR * rows
@@ -190,11 +196,11 @@ def _settled_first(
     misled = not chosen and large and (far or moved or bool(at_bound(fit.parameters, fit.data.configured)))
     share = _AS_MUCH if far or misled else _HALF
     plain = [one for one in best if one.surprise > _PLAINLY]
-    hidden = _hidden(fit, chosen, plain)
+    hidden = _imitated_by_parameters(fit, chosen, plain)
 
     def competing(one: Candidate) -> bool:
         as_much = one.gain > share * best[0].gain
-        return as_much and (far or misled or one is best[0] or _moving(fit, chosen, one))
+        return as_much and (far or misled or one is best[0] or _moves_parameters(fit, chosen, one))
 
     close = [one for one in plain if one in hidden or competing(one)]
     close = close if misled or close[1:] else []
@@ -214,12 +220,13 @@ def _settled_first(
     return trials[0][1] if trials else fit, [one for _, _, one in trials]
 
 
-def _on_the_other_flank(
+def _with_torque_zero(
     fit: LinearisedFit, best: list[Candidate], begun: Refit
 ) -> tuple[LinearisedFit, list[Candidate]] | None:
-    """Candidates led by a wrong zero of the torque that puts many torques on the other flank.
+    """Fit and candidates led by an offset of the torque, if it explains more than any; None otherwise.
 
-    No step from the reported torque leads there; the fit from many starts has found it, if it explains most.
+    An offset that puts many torques on the other flank is out of reach of steps from the reported torque; the
+    fit from many starts finds it.
     """
     torque, effects = fit.data.record.torque, by_name(fit, (_ZERO,))
     if not effects or np.mean((torque > 0.0) != (torque + begun.torque_zero > 0.0)) < _TURNED:
@@ -235,8 +242,8 @@ def _on_the_other_flank(
     return there, [Candidate(*item, gain, chance, size), *best]
 
 
-def _hidden(fit: LinearisedFit, chosen: Chosen, plain: list[Candidate]) -> list[Candidate]:
-    """Those whose columns the parameters and what is chosen imitate nearly whole."""
+def _imitated_by_parameters(fit: LinearisedFit, chosen: Chosen, plain: list[Candidate]) -> list[Candidate]:
+    """Candidates of whose columns parameters and chosen effects leave hardly anything."""
     if not plain:
         return []
     projector, found = Projector(fit, chosen), []
@@ -248,29 +255,28 @@ def _hidden(fit: LinearisedFit, chosen: Chosen, plain: list[Candidate]) -> list[
     return found
 
 
-def _moving(fit: LinearisedFit, chosen: Chosen, candidate: Candidate) -> bool:
+def _moves_parameters(fit: LinearisedFit, chosen: Chosen, candidate: Candidate) -> bool:
     """Whether beside a candidate the parameters are those of another drive."""
     step = fit.fit((*chosen, (candidate.effect, candidate.nonlinear)))[0][:COUNT]
     return bool(distinct([fit.parameters, fit.parameters + step])[1:])
 
 
-def _between(fit: LinearisedFit, chosen: Chosen, candidate: Candidate) -> Candidate:
+def _between_grid_points(fit: LinearisedFit, chosen: Chosen, candidate: Candidate) -> Candidate:
     """A candidate between grid points, with the chance of the grid's best."""
     effect = candidate.effect
     return replace(candidate, nonlinear=best_nonlinear(fit, chosen, effect, candidate.nonlinear))
 
 
-def _named(chosen: Chosen) -> int:
+def _count_named(chosen: Chosen) -> int:
     return sum(not (effect.given or isinstance(effect, UnmodelledTerm)) for effect, _ in chosen)
 
 
-def _begun_slowly(
+def _refitted_at_low_speed(
     fit: LinearisedFit, best: list[Candidate], rng: np.random.Generator
 ) -> tuple[LinearisedFit, list[Candidate]]:
-    """The parameters fitted at low speed and the candidates there, if the first of these explains more.
+    """Fit with the parameters of low speed, and its candidates, if the best of them explains more there.
 
-    Where something changes the ripple with speed, parameters fitted at all speeds are wrong, and no cause
-    stands out beside them.
+    A cause that changes the ripple with speed (a resonance) makes parameters fitted at all speeds wrong.
     """
     speed = np.abs(fit.data.record.speed)
     slow = refit(fit.data.record.select(speed <= np.quantile(speed, _SLOW)), fit.data.configured, rng)
@@ -301,7 +307,7 @@ def _restarted(fit: LinearisedFit, chosen: Chosen, rng: np.random.Generator) -> 
     return other if deviance < here - _RESTART_GAIN else fit
 
 
-def alone(fit: LinearisedFit, chosen: Chosen, rng: np.random.Generator) -> bool:
+def is_only_minimum(fit: LinearisedFit, chosen: Chosen, rng: np.random.Generator) -> bool:
     """Whether no other minimum fits about as well beside the chosen effects, which take part freely."""
     return _refitted(fit, chosen, rng).trustworthy
 
