@@ -246,7 +246,7 @@ def test_parameters_that_held_out_rows_speak_against_are_not_kept() -> None:
     fit = settle(linearise(record, CONFIGURED, POINT, rows=~test), ())
     assert "cup_compliance" in kept_parameters(fit, ())[1].bounds
     best = _predicting(record, test, which, fit, Search(fit, ()), np.random.default_rng(0))
-    assert best.kept.bounds == {}
+    assert best.kept.bounds.keys() == {"runout"}  # it has none
     assert not best.rms.misfit.suspected
 
 
