@@ -25,6 +25,7 @@ _CLUSTERS = 60
 _MOST_ROWS = 20_000  # of the fit of ramps
 _INPUT_ORDERS = (1, 2, 4)  # of waves that any gear may have
 _STEP, _WIDTH = 0.25, 15  # of a tooth pitch, over so many rows
+_WHOLE = 0.05  # of a tooth pitch, by which a step of whole teeth may be misread
 _MOST_STEPS = 20  # after which no more are looked for
 _DEGREES = math.degrees(1.0)
 _BITS = range(10, 25)  # of encoders
@@ -184,10 +185,13 @@ def find_steps(record: Record, ratio: float, tooth_pitch: float) -> tuple[Floats
             size = float(np.median(after) - np.median(before))
             if abs(size) < least:
                 break
-            correction[begin + place :] += size
-            part[place:] -= size
-            error[end:] -= size
-            findings.append(_step(size, tooth_pitch, float(record.time[begin + place])))
+            teeth = round(size / tooth_pitch)
+            whole = teeth != 0 and abs(size / tooth_pitch - teeth) < _WHOLE
+            exact = teeth * tooth_pitch if whole else size  # the same flanks meet again behind whole teeth
+            correction[begin + place :] += exact
+            part[place:] -= exact
+            error[end:] -= exact
+            findings.append(_step(size, teeth if whole else 0, float(record.time[begin + place])))
     return correction, findings
 
 
@@ -200,11 +204,9 @@ def _largest_jump(values: Floats) -> tuple[float, int]:
     return max(found, key=lambda one: one[0])
 
 
-def _step(size: float, tooth_pitch: float, time: float) -> Finding:
-    teeth = round(size / tooth_pitch)
-    if teeth != 0 and abs(size / tooth_pitch - teeth) < 0.05:
+def _step(size: float, teeth: int, time: float) -> Finding:
+    what = "encoder counts lost, or a hub slipped: no whole tooth"
+    if teeth:
         what = f"{teeth} {'tooth' if abs(teeth) == 1 else 'teeth'} skipped"
-    else:
-        what = "encoder counts lost, or a hub slipped: no whole tooth"
     text = f"a step of {np.degrees(size) * 3600:.0f} arcsec at {time:.3f} s: {what}"
     return Finding("tooth_skip", text, size, "rad", False)
