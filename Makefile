@@ -94,8 +94,7 @@ pytest: install
 
 # Arithmetic of model, drive, effects, monitor (with its streams) and diagnosis; what else there is does not depend on numpy.
 NUMERICAL = acceptance contact design drive effects extended_model fit_parameters joint_refinement \
-       linearised_fit load_sharing monitor noise recursions refit smoothing torsion torsion_map \
-       transmission_error
+       linearised_fit load_sharing monitor noise refit smoothing torsion torsion_map
 pytest-ubuntu:
 	@python=$$(sh scripts/find_python.sh '$(PYTHON)') && \
 	if "$$python" -c 'import sys; sys.exit(sys.version_info < (3, 13))'; then \
