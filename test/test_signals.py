@@ -26,7 +26,7 @@ from hd_diag.messages.fields import FieldReader
 from hd_diag.records.joint_record import read_bags, read_motion
 from hd_diag.records.joint_topics import JointTopics
 from hd_diag.replay.replay import replay
-from hd_diag.streams.signals import Signal, Unit
+from hd_diag.streams.signals import Signal, Unit, unit
 
 ROOT = Path(__file__).resolve().parent.parent
 ELBOW = {"type": "control_msgs/DynamicJointState", "topic": "/dynamic_joint_states", "name": "elbow"}
@@ -299,6 +299,24 @@ def test_a_file_says_it_nested_or_in_a_word(tmp_path: Path) -> None:
         assert (
             resolve(read(file)).joints[0].signals == resolve({"joint_1.input": "velocity"}).joints[0].signals
         )
+
+
+@pytest.mark.parametrize(
+    ("role", "name", "value", "expected"),
+    [
+        ("input", "deg", 180.0, np.pi),
+        ("input", "turns", 0.5, np.pi),
+        ("output", "counts/4096", 1024.0, np.pi / 2),
+        ("input", "rpm", 60.0, 2 * np.pi),
+        ("torque", "mA", 1500.0, 1.5),
+        ("torque", "Nm", 2.0, 2.0),
+        ("temperature", "K", 300.0, 26.85),
+        ("time", "ms", 5.0, 0.005),
+    ],
+)
+def test_units(role: str, name: str, value: float, expected: float) -> None:
+    known = unit(role, name)
+    assert value * known.factor + known.offset == pytest.approx(expected, abs=1e-12)
 
 
 # Fields of any message ---
