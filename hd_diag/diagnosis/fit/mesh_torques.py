@@ -33,7 +33,7 @@ class MeshTorques:
     ----------
     model : RecordModel
     parameters : ndarray, shape (7,)
-        Of the model, in units of `fit_parameters.SCALES`.
+        Of the model, in units of `fit_parameters.units`.
     causes : tuple
     as_taken : bool
         Whether a motor takes what the record's torque is less by already, beside the causes.

@@ -42,7 +42,7 @@ class PresentEffects:
     ----------
     data : FittedRows
     parameters : ndarray, shape (7,)
-        Where the model is linearised, in units of `fit_parameters.SCALES`.
+        Where the model is linearised, in units of `fit_parameters.units`.
     present : tuple
     """
 

@@ -26,10 +26,8 @@ LEAST_SIZE = 0.25 * ARCSEC
 """A cause smaller than this beside the refitted model is of no practical size [rad rms]."""
 
 _SHAPE = 0.08  # of a smooth law's size, to which its shape is known
-_SHAPES, _STAYING = (
-    8,
-    0.8,
-)  # other ones of a law; share of what is distinct from it, that they may not take over
+_SHAPES = 8  # other shapes of a smooth law that are tried at most
+_STAYING = 0.8  # share of an effect that these must leave of it, for it to be another cause
 _LOOP = 0.01  # of the model's torsion, that its loops are right to
 _LATE = 0.002  # the same of a delay
 _OWN = 0.1  # of what an effect brings, that it must bring beside parameters free of their bounds, too
