@@ -61,8 +61,8 @@ def read(path, *args, **keywords):
 
 
 def taken_at_once(patch, size):
-    """Have content loaded and released in pieces of a size; what is larger is mapped."""
-    for name in ("block._SLICE", "block.LARGE", "mcap_storage.PIECE"):
+    """Have content loaded and released in pieces of a size."""
+    for name in ("mcap_chunk.PIECE", "mcap_storage.PIECE", "mcap_scan.LARGE"):
         patch.setattr(f"hd_diag.bag.{name}", size)
 
 
@@ -426,8 +426,8 @@ def test_what_is_held_back_for_sorting_is_bounded(tmp_path, monkeypatch):
             writer.write_many("/j", JOINT_STATE, block[i : i + 20], times[i : i + 20])
     expected = stamps.tolist()
     assert [m[1] for m in read(tmp_path / "a.mcap")] == expected
+    taken_at_once(monkeypatch, 4000)
     with monkeypatch.context() as little:
-        little.setattr("hd_diag.bag.mcap_storage.PIECE", 4000)
         little.setattr("hd_diag.bag.mcap_storage._MAX_HELD", 100_000)
         with pytest.raises(BagError, match="too disordered"):
             read(tmp_path / "a.mcap")
@@ -462,7 +462,7 @@ def test_chunks_that_declare_wrong_times_are_noticed():
     """Old writers gave a chunk the time of its first message, not the least."""
 
     def section(*times):
-        return [SimpleNamespace(start=times[0], size=1, content_size=1, times=times)]
+        return [SimpleNamespace(start=times[0], size=1, content_size=1, part=None, times=times)]
 
     def load(stretch):
         times = np.array(stretch[0].times)
@@ -537,8 +537,8 @@ def test_a_large_chunk_of_one_topic_after_the_other_takes_no_more(tmp_path, monk
     assert np.array_equal(heads[np.argsort(times)], block[:, :8])
     assert peak < 0.8 * block.size
     full = mock.Mock(side_effect=OSError(28, "no space"))
-    monkeypatch.setattr("hd_diag.bag.block.TemporaryFile", full)
-    with pytest.raises(BagError, match=r"cannot be unpacked in .* no space"):
+    monkeypatch.setattr("hd_diag.bag.mcap_chunk.TemporaryFile", full)
+    with pytest.raises(BagError, match=r"cannot be sorted in .* no space"):
         times_and_heads()
 
 

@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
-import zlib
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from io import BytesIO
-from mmap import ACCESS_READ, MADV_DONTNEED, mmap
-from tempfile import TemporaryFile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,10 +12,6 @@ from hd_diag.arrays import Bytes, Integers, Times
 from hd_diag.messages.schemas import Definition
 
 Payload = Bytes | list[memoryview]
-LARGE = 10 << 20
-"""More than this is not held in memory [byte]; an image's chunk is."""
-# What is handed on at a time, and what a message weighs there beside its content [byte].
-_SLICE, _WEIGHT = 4 << 20, 256
 
 
 @dataclass
@@ -35,10 +26,21 @@ class Topic:
 
 
 @dataclass(frozen=True)
+class LongMessage:
+    """A content that is not held: its size [byte], and what reads it bit by bit from its beginning."""
+
+    size: int
+    read: Callable[[], Iterator[bytes | memoryview]]
+
+    def __len__(self) -> int:
+        return self.size
+
+
+@dataclass(frozen=True)
 class Block:
     """Messages in one buffer `data`: place and size of each content there [byte], channel, times [ns], (n,).
 
-    Times that do not fit into 63 bits are negative.
+    Times that do not fit into 63 bits are negative. The content of one `long` message is not in the buffer.
     """
 
     data: Bytes
@@ -47,12 +49,13 @@ class Block:
     channel: Integers
     log_time: Times
     publish_time: Times
+    long: LongMessage | None = field(default=None, kw_only=True)
 
     def __len__(self) -> int:
         return len(self.offset)
 
     def __getitem__(self, rows: Any) -> Block:
-        return Block(self.data, *(column[rows] for column in self._columns()))
+        return Block(self.data, *(column[rows] for column in self._columns()), long=self.long)
 
     def payload(self) -> Payload:
         """Contents of the messages: an array of shape (n, size) where they have one size."""
@@ -66,14 +69,6 @@ class Block:
         for offset, size in zip(self.offset.tolist(), self.size.tolist(), strict=True):
             yield view[offset : offset + size]
 
-    def slices(self) -> Iterator[Block]:
-        """The messages in order, a few megabytes and some thousands at a time."""
-        turn = np.cumsum(self.size + _WEIGHT) // _SLICE
-        ends = (np.flatnonzero(np.diff(turn)) + 1).tolist()
-        for first, last in itertools.pairwise([0, *ends, len(self)]):
-            yield self[first:last]
-            forget(self.data)
-
     def compact(self) -> Block:
         """The same messages without the rest of their buffer, where that is most of it."""
         return self if 4 * int(self.size.sum()) > len(self.data) else self.holding([*self.messages()])
@@ -81,7 +76,7 @@ class Block:
     def holding(self, contents: Sequence[bytes | memoryview]) -> Block:
         """The messages with other contents."""
         size = np.array([len(content) for content in contents], np.int64)
-        data, _ = collected(contents, int(size.sum()))
+        data = np.frombuffer(b"".join(contents), np.uint8)
         return Block(data, np.cumsum(size) - size, size, *self._columns()[2:])
 
     def _columns(self) -> tuple[Integers, ...]:
@@ -98,40 +93,10 @@ def joined(blocks: Sequence[Block]) -> Block:
             for b, start in zip(blocks, starts, strict=True)
         ]
         columns = map(np.concatenate, zip(*(b._columns() for b in moved), strict=True))
-        data, _ = collected([memoryview(b.data) for b in blocks], sum(len(b.data) for b in blocks))
-        block = Block(data, *columns)
+        block = Block(np.concatenate([b.data for b in blocks]), *columns)
     if (np.diff(block.log_time) < 0).any():
         block = block[np.argsort(block.log_time, kind="stable")]
     return block
-
-
-def collected(parts: Iterable[bytes | memoryview], most: int) -> tuple[Bytes, int]:
-    """Parts side by side, up to so many bytes, and their checksum; above `LARGE` in a file that is mapped."""
-    size = checksum = 0
-    with TemporaryFile(prefix="hd_diag-") if most > LARGE else BytesIO() as file:
-        for whole in parts:
-            part = whole[: most - size]
-            file.write(part)
-            size, checksum = size + len(part), zlib.crc32(part, checksum)
-            if size == most:
-                break
-        file.flush()
-        if isinstance(file, BytesIO):
-            return np.frombuffer(file.getvalue(), np.uint8), checksum
-        kept = mmap(file.fileno(), size, access=ACCESS_READ) if size else b""
-    return np.frombuffer(kept, np.uint8), checksum
-
-
-def mapped(data: Bytes) -> mmap | None:
-    """The file on the disk that a buffer is, if it is one."""
-    owner = getattr(data.base, "obj", data.base)
-    return owner if isinstance(owner, mmap) else None
-
-
-def forget(data: Bytes) -> None:
-    """Take no memory for what was read of a buffer that is a file on the disk."""
-    if (file := mapped(data)) is not None:
-        file.madvise(MADV_DONTNEED)
 
 
 def gather(data: Bytes, offset: Integers, size: int) -> Bytes:

@@ -8,12 +8,13 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
+from typing import Any
 
 import zstandard
 
-from hd_diag.bag.block import LARGE, Block, collected
+from hd_diag.bag.block import Block, LongMessage
 from hd_diag.bag.errors import BagError
-from hd_diag.bag.mcap_chunk import AT_ONCE, PIECE, believable
+from hd_diag.bag.mcap_chunk import AT_ONCE, LARGE, PIECE, believable
 from hd_diag.bag.rosbag2 import UNREADABLE, load_yaml
 
 _STORED = (".mcap", ".db3")
@@ -133,30 +134,50 @@ def unpack(path: Path, stack: ExitStack, files: int = 1) -> tuple[Path, str]:
 
 def unpacked(path: Path, block: Block) -> Iterator[Block]:
     """Messages that rosbag2 compressed one by one, a few megabytes at once; BagError as `decompressed`."""
-    first, found, size, zstd = 0, list[memoryview](), 0, zstandard.ZstdDecompressor()
+    first, found, size, zstd = 0, list[bytes](), 0, zstandard.ZstdDecompressor()
     for row, message in enumerate(block.messages(), start=1):
-        found.append(decompressed(path, message, zstd))
+        content = decompressed(path, message, zstd)
+        found.append(content if isinstance(content, bytes) else b"".join(content.read()))
         size += len(found[-1])
         if size >= PIECE or row == len(block):
             yield block[first:row].holding(found)
             first, found, size = row, [], 0
 
 
-def decompressed(path: Path, message: memoryview, zstd: zstandard.ZstdDecompressor) -> memoryview:
+def decompressed(
+    path: Path, message: memoryview | LongMessage, zstd: zstandard.ZstdDecompressor
+) -> bytes | LongMessage:
     """A message that rosbag2 compressed; BagError where it is damaged or unpacks to too much.
 
     Making a decompressor takes longer than most messages: one serves many.
     """
+
+    def read() -> Iterator[bytes]:
+        stored: Any = _Parts(message.read()) if isinstance(message, LongMessage) else message
+        return zstd.read_to_iter(stored, AT_ONCE, AT_ONCE)
+
     limit = believable(len(message))
     try:
-        size = zstandard.get_frame_parameters(message).content_size
-        if size == zstandard.CONTENTSIZE_UNKNOWN or size <= LARGE:
-            return memoryview(zstd.decompress(message, max_output_size=limit))
-        if size > limit:
+        head = next(message.read()) if isinstance(message, LongMessage) else message
+        size = zstandard.get_frame_parameters(head).content_size
+        if size != zstandard.CONTENTSIZE_UNKNOWN and size > limit:
             raise ValueError(f"it unpacks to {size} bytes, more than {limit}")
-        found, _ = collected(zstd.read_to_iter(message, AT_ONCE, AT_ONCE), size)
-        if len(found) != size:
-            raise ValueError("it is cut off")
-        return memoryview(found)
-    except (ValueError, zstandard.ZstdError, MemoryError, OSError) as exc:
+        if size != zstandard.CONTENTSIZE_UNKNOWN and size > LARGE:
+            if sum(map(len, read())) != size:
+                raise ValueError("it is cut off")
+            return LongMessage(size, read)
+        plain = b"".join(message.read()) if isinstance(message, LongMessage) else message
+        return zstd.decompress(plain, max_output_size=limit)
+    except (ValueError, zstandard.ZstdError, MemoryError) as exc:
         raise BagError(path, f"a compressed message is damaged: {exc}") from exc
+
+
+class _Parts:
+    """A file of parts that come one by one."""
+
+    def __init__(self, parts: Iterator[bytes | memoryview]) -> None:
+        self._parts = parts
+
+    def read(self, size: int = -1, /) -> bytes | memoryview:
+        """The next part, whatever its size."""
+        return next(self._parts, b"")

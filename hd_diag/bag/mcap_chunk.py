@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import struct
+import zlib
 from array import array
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from tempfile import TemporaryFile
 from typing import Any
 
 import lz4.frame
@@ -13,8 +16,8 @@ import numpy as np
 import zstandard
 from mcap.opcode import Opcode
 
-from hd_diag.arrays import Bytes, Integers
-from hd_diag.bag.block import Block, forget, gather
+from hd_diag.arrays import Integers
+from hd_diag.bag.block import Block, gather
 
 MESSAGE = struct.Struct("<BQHIQQ")
 """Head of a message: opcode, length, channel, sequence, log time and publish time [ns]."""
@@ -26,7 +29,10 @@ MAX_CHUNK = 256 << 20
 MAX_MESSAGE = MAX_CHUNK - MESSAGE.size
 """Content of a message that fits into such a chunk [byte]."""
 PIECE = 2 << 20
-"""How much content is taken at once where chunks are smaller [byte]."""
+"""How much content is taken at once [byte]: small chunks together, large ones in parts, any message whole."""
+LARGE = 10 << 20
+"""Above this a chunk is read twice, to check it and then in parts, and a message is not held where nobody
+needs it [byte]; an image's chunk is not."""
 AT_ONCE = 1 << 18
 """Size that is decompressed, or copied of what is long, at a time [byte]."""
 COMPRESSIONS = ("", "lz4", "zstd")
@@ -35,16 +41,17 @@ COMPRESSIONS = ("", "lz4", "zstd")
 _MAX_UNASKED, _MAX_RATIO = 64 << 20, 1000
 _HEAD = np.dtype("u1, <u8, <u2, <u4, <u8, <u8")
 _HEAD.names = ("opcode", "length", "channel", "sequence", "log_time", "publish_time")
-# A chunk with more records is refused, where they are so many for its size: an honest one of some megabytes
-# has a hundredth of them, and the shortest messages with joint states are longer [byte].
-_MAX_RECORDS, _LEAST_RECORD = 1_000_000, 64
+# A chunk with more records is refused: an honest one of some megabytes has a hundredth of them.
+_MAX_RECORDS = 1_000_000
 
 
 @dataclass
 class Section:
     """A chunk, or messages outside of chunks that follow one another: place [byte] and log times [ns].
 
-    Sizes, times and checksum (0 for none) are those that the chunk declares.
+    Sizes, times and checksum (0 for none) are those that the chunk declares. Of a part of a large chunk
+    `part` is the place in its content and the size [byte]; the times are those of its messages then. A
+    message above `LARGE` is a part, or a section, of its own with its `channel`.
     """
 
     offset: int
@@ -55,6 +62,8 @@ class Section:
     content_size: int = 0
     checksum: int = 0
     is_chunk: bool = True
+    part: tuple[int, int] | None = None
+    channel: int | None = None
 
 
 def believable(stored: int) -> int:
@@ -85,71 +94,143 @@ def decompressed(compression: str, stored: Any) -> Iterator[bytes]:
             yield lz4_frame.decompress(b"", AT_ONCE)
 
 
-def parse(content: Bytes, keep: Callable[[bytes], None]) -> tuple[Block, int]:
+class Content:
+    """Content of a chunk up to a limit [byte], read from its beginning on.
+
+    `place` is how much was taken [byte], `checksum` that of what was read; None where nobody needs it.
+    """
+
+    def __init__(self, parts: Iterator[bytes], limit: int, checksum: int | None = 0) -> None:
+        self.place, self.checksum = 0, checksum
+        self._parts, self._limit, self._rest = parts, limit, b""
+
+    def take(self, size: int) -> bytes:
+        """The next bytes, fewer at the end."""
+        size, read = min(size, self._limit - self.place), [self._rest]
+        left = size - len(self._rest)
+        while left > 0 and (part := next(self._parts, None)) is not None:
+            if self.checksum is not None:
+                self.checksum = zlib.crc32(part, self.checksum)
+            left -= len(part)
+            read.append(part)
+        both = b"".join(read)
+        self._rest = both[size:]
+        self.place += min(size, len(both))
+        return both[:size]
+
+    def skip(self, place: int) -> None:
+        """Go on to a place."""
+        while self.place < place and self.take(min(AT_ONCE, place - self.place)):
+            pass
+
+
+def check_whole(section: Section, content: Content) -> None:
+    """Raise ValueError where a chunk does not hold what it declares; all of it must have been taken."""
+    if content.place != section.content_size:
+        raise ValueError(f"it holds {content.place} bytes instead of {section.content_size}")
+    if section.checksum and content.checksum != section.checksum:
+        raise ValueError("its checksum is wrong")
+
+
+class OnDisk:
+    """Content of a chunk in a temporary file, taken from any place."""
+
+    place = 0
+
+    def __init__(self, content: Content) -> None:
+        self._file, self._next = TemporaryFile(prefix="hd_diag-"), 0  # noqa: SIM115 (open as long as this is)
+        while part := content.take(AT_ONCE):
+            self._file.write(part)
+        self._file.flush()
+
+    def skip(self, place: int) -> None:
+        """Go on to a place."""
+        self._next = place
+
+    def take(self, size: int) -> bytes:
+        """The bytes there."""
+        return os.pread(self._file.fileno(), size, self._next)
+
+
+def pieces(content: Content, keep: Callable[[bytes], None]) -> Iterator[tuple[int, int, Block]]:
+    """Place and size [byte] of pieces of whole records, one after the other, and the messages in them.
+
+    A message above `LARGE` is a piece of its own, of which the block has the head alone. Raises ValueError as
+    `parse`, and where a record at the end is not whole.
+    """
+    place, size, rest = 0, PIECE, b""
+    while more := content.take(size - len(rest)):
+        rest += more
+        block, stop = parse(rest, keep)
+        if stop:
+            yield place, stop, block
+        place, rest = place + stop, rest[stop:]
+        opcode, length = RECORD.unpack_from(rest) if len(rest) >= RECORD.size else (0, 0)
+        if length > LARGE:
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                raise ValueError(f"{length} bytes are too many for such a record")
+            head = rest if len(rest) >= MESSAGE.size else rest + content.take(MESSAGE.size - len(rest))
+            end = place + RECORD.size + length
+            content.skip(end)
+            if content.place < end:
+                break
+            if opcode == Opcode.MESSAGE:
+                yield place, end - place, head_of(head)
+            place, length, rest = end, 0, b""
+        size = max(PIECE, RECORD.size + length)
+    check_end(rest, 0)
+
+
+def parse(content: bytes, keep: Callable[[bytes], None]) -> tuple[Block, int]:
     """Messages among the whole records at the beginning of `content`, and where these end.
 
     Schemas and channels are handed to `keep`. Raises ValueError where a record cannot be.
     """
-    most, records = max(_MAX_RECORDS, len(content) // _LEAST_RECORD), 0
-    place, size, found = 0, PIECE, [np.empty((5, 0), np.int64)]
-    while True:
-        window = content[place : place + size]
-        offset, stop, count = _messages_in(window, keep)
-        records += count
-        if records > most:
-            raise ValueError(f"it holds more than {most} records")
-        columns = _columns_at(window, offset)
-        columns[0] += place
-        found.append(columns)
-        forget(content)
-        place += stop
-        opcode, length = RECORD.unpack_from(content, place) if place + RECORD.size <= len(content) else (0, 0)
-        if opcode == 0 or place + RECORD.size + length > len(content):
-            return Block(content, *np.concatenate(found, axis=1)), place
-        size = max(PIECE, RECORD.size + length)
-
-
-def _messages_in(content: Bytes, keep: Callable[[bytes], None]) -> tuple[Integers, int, int]:
-    """Places of the messages among the whole records here, where these end, and how many they are."""
     first, more, position, ignored = np.empty(0, np.int64), array("q"), 0, 0
-    end, view, head_at, message = len(content), memoryview(content), RECORD.unpack_from, int(Opcode.MESSAGE)
+    end, head_at, message = len(content), RECORD.unpack_from, int(Opcode.MESSAGE)
     while position + RECORD.size <= end:
-        opcode, length = head_at(view, position)
+        opcode, length = head_at(content, position)
         stop = position + RECORD.size + length
         if stop > end or opcode == 0:
             break
         if opcode != message:
             ignored += 1
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                keep(bytes(view[position:stop]))
+                keep(content[position:stop])
         elif more or len(first):
             more.append(position)
         else:
             first = _equal_records(content, position, stop - position)
             stop += int(first[-1]) - position
         position = stop
-    places = np.concatenate([first, np.array(more, np.int64)])
-    return places, position, len(places) + ignored
+        if len(first) + len(more) + ignored > _MAX_RECORDS:
+            raise ValueError(f"it holds more than {_MAX_RECORDS} records")
+    return _messages_at(content, np.concatenate([first, np.array(more, np.int64)])), position
 
 
-def check_end(content: Bytes, stop: int) -> None:
+def head_of(content: bytes) -> Block:
+    """The message that begins here, of which the head alone is needed."""
+    return _messages_at(content[: MESSAGE.size], np.zeros(1, np.int64))
+
+
+def check_end(content: bytes, stop: int) -> None:
     """Raise ValueError where whole records do not reach the end."""
     if stop != len(content):
         longer = "a record is longer than the chunk"
         raise ValueError(longer if content[stop] else "it holds bytes that are not records")
 
 
-def _equal_records(content: Bytes, start: int, step: int) -> Integers:
+def _equal_records(content: bytes, start: int, step: int) -> Integers:
     """Places of the messages of one size that follow one another from `start`; at least one."""
     count = (len(content) - start) // step
-    heads = content[start : start + count * step].reshape(count, step)[:, :9]
+    heads = np.frombuffer(content, np.uint8, count * step, start).reshape(count, step)[:, :9]
     same = (heads == heads[0]).all(axis=1)
     count = count if same.all() else int(same.argmin())
     return start + step * np.arange(count, dtype=np.int64)
 
 
-def _columns_at(data: Bytes, offset: Integers) -> Integers:
-    """Place and size of the contents of messages [byte], channel and times [ns], shape (5, n)."""
+def _messages_at(content: bytes, offset: Integers) -> Block:
+    data = np.frombuffer(content, np.uint8)
     if len(offset) and offset[-1] + MESSAGE.size > len(data):
         raise ValueError("a message has no room for its times")
     heads = np.ascontiguousarray(gather(data, offset, MESSAGE.size)).view(_HEAD)[:, 0]
@@ -157,4 +238,4 @@ def _columns_at(data: Bytes, offset: Integers) -> Integers:
     if len(size) and int(size.min()) < 0:
         raise ValueError("a message is too short for its times")
     columns = (heads[name].astype(np.int64) for name in ("channel", "log_time", "publish_time"))
-    return np.stack([offset + MESSAGE.size, size, *columns])
+    return Block(data, offset + MESSAGE.size, size, *columns)

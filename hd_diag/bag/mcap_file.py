@@ -7,6 +7,7 @@ messages and their indexes, of which there are many, are laid out here, https://
 from __future__ import annotations
 
 import functools
+import itertools
 import os
 import struct
 import time
@@ -27,10 +28,11 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 
 from hd_diag.arrays import Bytes, Times
-from hd_diag.bag.block import LARGE, forget
+from hd_diag.bag.block import LongMessage
 from hd_diag.bag.errors import BagError, lock
-from hd_diag.bag.mcap_chunk import AT_ONCE, MESSAGE, RECORD
+from hd_diag.bag.mcap_chunk import LARGE, MESSAGE, RECORD
 from hd_diag.bag.mcap_scan import MAGIC
+from hd_diag.bag.open_chunk import ROOM, UNKNOWN, OpenChunk, bits
 
 # Level 1: floats hardly compress better at higher levels, and the node writes while it works.
 _COMPRESS = {
@@ -45,7 +47,6 @@ _LARGE = 4 << 20  # above this a chunk is waited for, as are those before it [by
 _FIXED = MESSAGE.size - RECORD.size  # of a message, in the length of its record [byte]
 _HEAD, _INDEX, _ENTRY = struct.Struct("<BQH"), struct.Struct("<BQHI"), struct.Struct("<QQ")
 _LENGTH = struct.Struct("<Q")
-_UNKNOWN = 2**64 - 1  # least time of no messages [ns]
 _CHUNK_HEAD = 49  # of a chunk's record, without the name of its compression [byte]
 
 
@@ -65,17 +66,6 @@ class Written(NamedTuple):
     statistics: records.Statistics
 
 
-class OpenChunk:
-    """Records of the chunk that is being filled, their times, and where the messages of each channel are."""
-
-    def __init__(self) -> None:
-        self.data = bytearray()
-        self.opened: float | None = None
-        self.first, self.last = _UNKNOWN, 0
-        self.index: dict[int, bytearray] = {}
-        self.long: memoryview | None = None  # content of the last message
-
-
 class McapFile:
     """An MCAP file with profile ``ros2``, locked for as long as it is written.
 
@@ -89,9 +79,10 @@ class McapFile:
     def __init__(self, path: Path, compression: str, chunk_size: int, overwrite: bool) -> None:
         self.path, self.size = path, 0
         self.start: int | None = None
-        self.written = Written(path, records.Statistics(0, 0, {}, 0, 0, 0, _UNKNOWN, 1, 0))
+        self.written = Written(path, records.Statistics(0, 0, {}, 0, 0, 0, UNKNOWN, 1, 0))
         self._compression, self._chunk_size = compression, chunk_size
-        self._chunk = OpenChunk()
+        self._rooms: deque[bytearray] = deque()  # of chunks that are written
+        self._chunk = self._begun()
         self._failed = self.is_whole = False
         self._waiting: deque[Future[None]] = deque()
         self._indexes = bytearray()  # packed at once: a log of days has a million of them
@@ -115,32 +106,37 @@ class McapFile:
         if stream.channel.id not in self._channels:
             if stream.schema.id not in self._schemas:
                 self._schemas[stream.schema.id] = stream.schema
-                self._chunk.data += _packed(stream.schema)
+                self._chunk.append(_packed(stream.schema))
             self._channels[stream.channel.id] = stream.channel
-            self._chunk.data += _packed(stream.channel)
+            self._chunk.append(_packed(stream.channel))
 
-    def add(self, stream: Stream, log_time: int, publish_time: int, data: bytes | memoryview) -> None:
+    def add(
+        self, stream: Stream, log_time: int, publish_time: int, data: bytes | memoryview | LongMessage
+    ) -> None:
         """Append a message; the chunk is closed when it is full, or where the message is a long one."""
         self.declare(stream)
         if len(data) > LARGE:
             self.close_chunk()
         chunk, number, count = self._chunk, stream.channel.id, stream.count & 0xFFFFFFFF
-        entry = _ENTRY.pack(log_time, len(chunk.data))
+        entry = _ENTRY.pack(log_time, chunk.size)
         head = MESSAGE.pack(Opcode.MESSAGE, _FIXED + len(data), number, count, log_time, publish_time)
-        chunk.data += head
-        if len(data) > LARGE:
-            chunk.long = memoryview(data)
+        chunk.append(head)
+        if isinstance(data, LongMessage):
+            chunk.long = data
+        elif len(data) > LARGE:
+            chunk.long = LongMessage(len(data), functools.partial(bits, memoryview(data)))
         else:
-            chunk.data += data
+            chunk.append(data)
         self._added(stream, 1, log_time, log_time, entry)
 
     def add_rows(self, stream: Stream, times: Times, publish_times: Times, rows: Bytes) -> int:
         """Append messages of one size, shape (n, size), as many as fill the open chunk, and say how many."""
         self.declare(stream)
-        kind, size = _record_of(rows.shape[1]), len(self._chunk.data)
+        kind, size = _record_of(rows.shape[1]), self._chunk.size
         count = min(len(rows), max(1, -(-(self._chunk_size - size) // kind.itemsize)))
         times = times[:count]
-        table = np.empty(count, kind)
+        self._chunk.grow(count * kind.itemsize)
+        table = np.frombuffer(self._chunk.data, kind, count, size)
         table["head"] = np.void(_HEAD.pack(Opcode.MESSAGE, _FIXED + rows.shape[1], stream.channel.id))
         table["sequence"] = np.arange(stream.count, stream.count + count)
         table["log_time"], table["publish_time"] = times, publish_times[:count]
@@ -148,7 +144,7 @@ class McapFile:
         table["data"] = rows[:count].view(kind["data"])[:, 0]
         entries = np.empty((count, 2), "<u8")
         entries[:, 0], entries[:, 1] = times, size + kind.itemsize * np.arange(count)
-        self._chunk.data += table.tobytes()
+        del table  # the chunk's room cannot grow while it is looked at
         self._added(stream, count, int(times.min()), int(times.max()), entries.tobytes())
         return count
 
@@ -159,15 +155,15 @@ class McapFile:
         chunk.opened = time.monotonic() if chunk.opened is None else chunk.opened
         chunk.first, chunk.last = min(chunk.first, first), max(chunk.last, last)
         chunk.index.setdefault(stream.channel.id, bytearray()).extend(entries)
-        if len(chunk.data) >= self._chunk_size or chunk.long is not None:
+        if chunk.size >= self._chunk_size or chunk.long is not None:
             self.close_chunk()
 
     def close_chunk(self) -> None:
         """Hand everything added so far to the thread that writes."""
-        if self._chunk.data:
-            chunk, self._chunk = self._chunk, OpenChunk()
+        if self._chunk.size:
+            chunk, self._chunk = self._chunk, self._begun()
             self._waiting.append(self._pool.submit(self._store, chunk))
-            self.wait(_MOST_WAITING if len(chunk.data) <= _LARGE and chunk.long is None else 0)
+            self.wait(_MOST_WAITING if chunk.size <= _LARGE and chunk.long is None else 0)
 
     def wait(self, most: int = 0) -> None:
         """Until no more than so many chunks wait for the operating system; raises what first went wrong."""
@@ -220,11 +216,15 @@ class McapFile:
         """Another descriptor of the file, which stays locked until that is closed too."""
         return os.dup(self._fd)
 
+    def _begun(self) -> OpenChunk:
+        """An empty chunk; in fresh memory it would take twice as long to fill."""
+        return OpenChunk(self._rooms.popleft() if self._rooms else bytearray(min(self._chunk_size, ROOM)))
+
     def _store(self, chunk: OpenChunk) -> None:
         """Write a chunk; after one that could not be written none is."""
         if self._failed:
             return
-        data, start = memoryview(chunk.data), self.size
+        data, start = memoryview(chunk.data)[: chunk.size], self.size
         first, name = (0 if chunk.opened is None else chunk.first), self._compression.replace("none", "")
         size, stored = len(data), b""
         try:
@@ -232,7 +232,7 @@ class McapFile:
                 stored = _COMPRESS[self._compression](data)
                 length, checksum = len(stored), zlib.crc32(data)
             else:
-                size, name = size + len(chunk.long), name and "lz4"
+                size, name = size + chunk.long.size, name and "lz4"
                 length, checksum = self._put_long(name, data, chunk.long)
             record = bytearray(_packed(records.Chunk(name, b"", chunk.last, first, checksum, size)))
             _LENGTH.pack_into(record, 1, len(record) - RECORD.size + length)
@@ -262,20 +262,23 @@ class McapFile:
             written.message_count += count
             counts = written.channel_message_counts
             counts[channel] = counts.get(channel, 0) + count
+        data.release()
+        if len(chunk.data) <= 2 * self._chunk_size:
+            self._rooms.append(chunk.data)
 
-    def _put_long(self, name: str, data: memoryview, long: memoryview) -> tuple[int, int]:
+    def _put_long(self, name: str, data: memoryview, long: LongMessage) -> tuple[int, int]:
         """Write what a chunk with a long message holds behind room for its head: size and checksum.
 
         By lz4, for zstd may shrink it by more than can be believed of an unknown file.
         """
-        start, checksum = self.size, 0
+        start, found, checksum = self.size, 0, 0
         lz4_frame = lz4.frame.LZ4FrameCompressor()
         self._put(bytes(_CHUNK_HEAD + len(name)), lz4_frame.begin() if name else b"")
-        for part in [data, *(long[place : place + AT_ONCE] for place in range(0, len(long), AT_ONCE))]:
-            checksum = zlib.crc32(part, checksum)
+        for part in itertools.chain([data], long.read()):
+            found, checksum = found + len(part), zlib.crc32(part, checksum)
             self._put(lz4_frame.compress(part) if name else part)
-            if isinstance(part.obj, np.ndarray):
-                forget(part.obj)
+        if found != len(data) + long.size:
+            raise BagError(self.path, f"a message has {found - len(data)} bytes instead of {long.size}")
         self._put(lz4_frame.flush() if name else b"")
         return self.size - start - _CHUNK_HEAD - len(name), checksum
 

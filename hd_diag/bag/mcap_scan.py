@@ -10,13 +10,14 @@ import os
 import re
 import struct
 import tempfile
+import threading
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from io import BufferedReader, BytesIO
 from pathlib import Path
 
-import numpy as np
 import zstandard
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -24,20 +25,26 @@ from mcap.records import Channel, Header, Schema, Statistics
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
 
-from hd_diag.arrays import Bytes
-from hd_diag.bag.block import Block, Topic, collected
+from hd_diag.bag.block import Block, LongMessage, Topic
 from hd_diag.bag.errors import BagError
 from hd_diag.bag.mcap_chunk import (
+    AT_ONCE,
     COMPRESSIONS,
+    LARGE,
     MAX_CHUNK,
     MESSAGE,
     RECORD,
+    Content,
+    OnDisk,
     Section,
     believable,
     check_claim,
     check_end,
+    check_whole,
     decompressed,
+    head_of,
     parse,
+    pieces,
 )
 from hd_diag.messages.schemas import Definition
 
@@ -48,6 +55,7 @@ _MAYBE_CHUNK = re.compile(rb"(?=\x06[\s\S]{6}\0\0)")
 _WINDOW, _PEEKED = 16 << 20, 1 << 14
 _MAX_RECORD = 16 << 20  # of other kinds [byte]
 _RUN = 1 << 20  # messages outside of chunks are taken together up to about this size [byte]
+_MOST_OPEN = 4  # large chunks that are read at once: those beside each other in time
 
 
 # What the libraries raise on damaged content.
@@ -75,6 +83,8 @@ class Scan:
         self.profile = self.problem = ""
         self._path, self._file = path, file
         self._begin, self._ahead = 0, b""
+        self._open: dict[int, Content | OnDisk] = {}
+        self._lock = threading.Lock()
         if self.read(0, len(MAGIC)) != MAGIC:
             raise BagError(path, "is not an MCAP file" if self.size else "is empty")
         self.walk()
@@ -82,7 +92,7 @@ class Scan:
             raise BagError(path, f"has profile {self.profile!r}, not ros2")
 
     def read(self, offset: int, size: int) -> bytes:
-        """What stands at a place; ValueError where the file was closed."""
+        """What stands at a place, also beside other readers; ValueError where the file was closed."""
         return os.pread(self._file.fileno(), size, offset)
 
     def _peek(self, size: int) -> bytes:
@@ -183,28 +193,52 @@ class Scan:
                         return place
         return None
 
+    def parts(self, section: Section) -> list[Section]:
+        """The section, or the parts of a large chunk, which take less memory; DamagedChunk as `load`."""
+        if not section.is_chunk or section.content_size <= LARGE or section.part is not None:
+            return [section]
+        found = []
+        with self._damage(f"chunk at byte {section.offset}"):
+            content = self._unpacked(section)
+            for place, size, block in pieces(content, self.keep):
+                if len(block):
+                    channel = int(block.channel[0]) if size > LARGE else None
+                    part = replace(section, part=(place, size), channel=channel)
+                    part.start, part.end = int(block.log_time.min()), int(block.log_time.max())
+                    found.append(part)
+            check_whole(section, content)
+        return found
+
     def load(self, sections: Sequence[Section]) -> Block:
         """Messages of some sections; schemas and channels among them are kept.
 
-        DamagedChunk where a section cannot be used.
+        Safe beside other readers of the same file; DamagedChunk where a section cannot be used.
         """
         contents = []
         for section in sections:
             with self._damage(f"chunk at byte {section.offset}"):
-                check_claim(section.content_size, section.size)
-                content, checksum = self._unpacked(section, section.content_size + 1)
-                if len(content) != section.content_size:
-                    raise ValueError(f"it holds {len(content)} bytes instead of {section.content_size}")
-                if section.checksum and checksum != section.checksum:
-                    raise ValueError("its checksum is wrong")
-                contents.append(content)
+                contents.append(self._content(section))
         with self._damage(f"chunk at or after byte {sections[0].offset}"):
-            content = contents[0] if len(contents) == 1 else np.concatenate(contents)
+            content = contents[0] if len(contents) == 1 else b"".join(contents)
             block, stop = parse(content, self.keep)
             check_end(content, stop)
             return block
 
-    def load_part(self, offset: int, end: int) -> Block | None:
+    def long_message(self, section: Section) -> Block:
+        """The message that a section with a `channel` is, without its content; DamagedChunk as `load`."""
+        assert section.part is not None
+        place, size = section.part
+        size -= MESSAGE.size
+
+        def read() -> Iterator[bytes]:
+            with self._opened(section, place + MESSAGE.size) as content:
+                for done in range(0, size, AT_ONCE):
+                    yield content.take(min(AT_ONCE, size - done))
+
+        with self._damage(f"chunk at byte {section.offset}"), self._opened(section, place) as content:
+            return replace(head_of(content.take(MESSAGE.size)), long=LongMessage(size, read))
+
+    def load_part(self, offset: int, end: int) -> Iterator[Block]:
         """Messages at the beginning of a chunk of which the file has the bytes from `offset` to `end`.
 
         Compression works in blocks, so that the blocks before a cut can be read.
@@ -213,28 +247,60 @@ class Scan:
             if self.read(offset, 1)[0] == Opcode.CHUNK:
                 section = self.chunk_at(offset, (1 << 64) - 1)
                 section.size = min(section.size, max(0, end - section.offset), MAX_CHUNK)
-                most = min(section.content_size, believable(section.size))
-                return parse(self._unpacked(section, most, is_cut=True)[0], self.keep)[0]
-        return None
+                section.content_size = min(section.content_size, believable(section.size))
+                for place, size, block in pieces(self._unpacked(section), self.keep):
+                    if len(block):
+                        is_long = size > LARGE
+                        yield self.long_message(replace(section, part=(place, size))) if is_long else block
 
     @contextmanager
     def _damage(self, where: str) -> Iterator[None]:
         try:
             yield
         except _DAMAGE as exc:
-            raise (
-                exc if type(exc) is BagError else DamagedChunk(self._path, f"{where} is damaged: {exc}")
-            ) from exc
+            raise DamagedChunk(self._path, f"{where} is damaged: {exc}") from exc
 
-    def _unpacked(self, section: Section, most: int, *, is_cut: bool = False) -> tuple[Bytes, int]:
-        """Content of a section up to a size [byte], if `is_cut` to where it can be read, and its checksum."""
+    def _unpacked(self, section: Section, checksum: int | None = 0) -> Content:
+        """The content of a chunk, one byte more than it claims if there is."""
+        check_claim(section.content_size, section.size)
         stored = _Stored(self, section.offset, section.offset + section.size)
-        parts = decompressed(section.compression, stored)
+        return Content(decompressed(section.compression, stored), section.content_size + 1, checksum)
+
+    def _content(self, section: Section) -> bytes:
+        """Of a section or a part."""
+        if section.part is not None:
+            with self._opened(section, section.part[0]) as part:
+                return part.take(section.part[1])
+        content = self._unpacked(section)
+        found = content.take(section.content_size + 1)
+        check_whole(section, content)
+        return found
+
+    @contextmanager
+    def _opened(self, section: Section, place: int) -> Iterator[Content | OnDisk]:
+        """The content of a section from a place on; it is kept open, for its parts follow one another.
+
+        Where they do not, for times go back in it, it is unpacked on the disk.
+        """
+        with self._lock:
+            known: Content | OnDisk | None = self._open.pop(section.offset, None)
+            if known is None:
+                known = self._unpacked(section, None)
+            elif known.place > place:
+                known = self._on_disk(section)
+            known.skip(place)
+            yield known
+            if known.place < section.content_size:
+                self._open[section.offset] = known
+            if len(self._open) > _MOST_OPEN:
+                del self._open[next(iter(self._open))]
+
+    def _on_disk(self, section: Section) -> OnDisk:
         try:
-            return collected(_readable(parts) if is_cut else parts, most)
+            return OnDisk(self._unpacked(section, None))
         except OSError as exc:
             where = f"{tempfile.gettempdir()} (TMPDIR)"
-            raise BagError(self._path, f"cannot be unpacked in {where}: {exc.strerror or exc}") from exc
+            raise BagError(self._path, f"cannot be sorted in {where}: {exc.strerror or exc}") from exc
 
     def _take(self, opcode: int, length: int) -> None:
         """Take the record at `end`."""
@@ -250,20 +316,18 @@ class Scan:
 
     def _add_message(self, length: int) -> None:
         """Add the message outside of chunks that stands at `end` to those right before it."""
-        *_, log_time, _ = MESSAGE.unpack(self._peek(MESSAGE.size))
+        _, _, channel, _, log_time, _ = MESSAGE.unpack(self._peek(MESSAGE.size))
+        if length > LARGE:
+            size = RECORD.size + length
+            own = Section(self.end, size, log_time, log_time, "", size, is_chunk=False, part=(0, size))
+            self.sections.append(replace(own, channel=channel))
+            return
         last = self.sections[-1] if self.sections else None
-        is_next = last is not None and not last.is_chunk and last.offset + last.size == self.end
-        if last is None or not is_next or max(last.size, length) > _RUN:
+        if last is None or last.is_chunk or last.offset + last.size != self.end or last.size > _RUN:
             last = Section(self.end, 0, log_time, log_time, is_chunk=False)
             self.sections.append(last)
         last.size = last.content_size = last.size + RECORD.size + length
         last.start, last.end = min(last.start, log_time), max(last.end, log_time)
-
-
-def _readable(parts: Iterator[bytes]) -> Iterator[bytes]:
-    """Parts up to the damage."""
-    with suppress(*_DAMAGE):
-        yield from parts
 
 
 class _Stored:

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 
-from hd_diag.bag.block import Block, joined, mapped
+from hd_diag.bag.block import Block, joined
 from hd_diag.bag.errors import BagError, is_locked
 from hd_diag.bag.mcap_chunk import PIECE, Section
 from hd_diag.bag.mcap_scan import DamagedChunk, Scan
 
-# More than this is never held back for sorting [byte]; on the disk so many times that.
-_MAX_HELD, _DISK = 32 << 20, 32
+# What is read ahead takes no more memory than this [byte].
+_AHEAD = 6 << 20
+# More than this is never held back for sorting [byte].
+_MAX_HELD = 32 << 20
 
 
 class McapStorage:
@@ -28,7 +31,7 @@ class McapStorage:
     def __init__(self, path: Path, stack: ExitStack) -> None:
         self.path = path
         self._file = stack.enter_context(path.open("rb"))
-        self._scan = Scan(path, self._file)
+        self._scan, self._is_split = Scan(path, self._file), False
         self.problem = self._scan.problem
         if self.problem and is_locked(self._file.fileno()):
             self.problem = "is being written by another process"
@@ -50,15 +53,29 @@ class McapStorage:
             return block if len(numbers) == len(self.topics) else block[np.isin(block.channel, numbers)]
 
         try:
-            for block in _ordered(_stretches_of(self._scan.sections), chosen):
+            unneeded = self.topics.keys() - set(numbers)
+            sections = [section for section in self._sections() if section.channel not in unneeded]
+            for block in _ordered(_stretches_of(sections), chosen):
                 self._check_declared(set(np.unique(block.channel).tolist()) - self.topics.keys())
                 if int(block.log_time[0]) < 0 or int(block.publish_time.min()) < 0:
                     raise ValueError("a message has a time beyond the year 2262")
-                yield from block.slices()
+                yield block
         except ValueError as exc:
             if self._file.closed:
                 raise BagError(self.path, "the bag was closed") from exc
             raise exc if isinstance(exc, BagError) else BagError(self.path, exc) from exc
+
+    def _sections(self) -> list[Section]:
+        """Sections, or parts of large ones; one that is damaged is an error when it is its turn."""
+        if not self._is_split:
+            found: list[Section] = []
+            for section in self._scan.sections:
+                try:
+                    found += self._scan.parts(section)
+                except DamagedChunk:
+                    found.append(section)
+            self._scan.sections, self._is_split = found, True
+        return self._scan.sections
 
     def _check_declared(self, unknown: Sequence[int] | set[int]) -> None:
         if unknown:
@@ -75,7 +92,10 @@ class McapStorage:
             return dict(known.channel_message_counts), None
         counts: Counter[int] = Counter()
         error: DamagedChunk | None = None
-        for section in found.sections:
+        for section in self._sections():
+            if section.channel is not None:
+                counts[section.channel] += 1
+                continue
             try:
                 block = found.load([section])
             except DamagedChunk as exc:
@@ -89,16 +109,20 @@ class McapStorage:
         return counts, error
 
 
+def _size(sections: Sequence[Section]) -> int:
+    """What sections take in memory [byte]."""
+    return sum(s.part[1] if s.part else max(s.content_size, s.size) for s in sections)
+
+
 def _stretches_of(sections: Sequence[Section]) -> list[list[Section]]:
     """Sections in the order of the file, small ones taken together: a log flushed often has many."""
     stretches: list[list[Section]] = []
     size = 0
     for section in sections:
-        own = max(section.content_size, section.size)
-        size += own
+        size += _size([section])
         if not stretches or size > PIECE:
             stretches.append([])
-            size = own
+            size = _size([section])
         stretches[-1].append(section)
     return stretches
 
@@ -113,10 +137,10 @@ def _ordered(
     """
     starts = [min(section.start for section in stretch) for stretch in stretches]
     turns = sorted(range(len(stretches)), key=lambda number: (starts[number], number))
+    blocks = _ahead([stretches[number] for number in turns], load_one)
     held: dict[int, Block] = {}
     released = -(2**63)
-    for turn, number in enumerate(turns, start=1):
-        loaded = load_one(stretches[number])
+    for turn, (number, loaded) in enumerate(zip(turns, blocks, strict=True), start=1):
         if len(loaded) and int(loaded.log_time.min()) < released:
             raise ValueError(
                 "a chunk holds messages from before its declared start; hd-diag recover mends it"
@@ -124,10 +148,10 @@ def _ordered(
         held[number], early = loaded, []
         for number, block in sorted(held.items()):
             late = block.log_time >= starts[turns[turn]] if turn < len(turns) else np.zeros(len(block), bool)
-            early.append(block[~late].compact() if late.any() else block)
+            early.append(block[~late] if late.any() else block)
             held[number] = block[late].compact()
         held = {number: block for number, block in held.items() if len(block)}
-        if sum(len(b.data) // (_DISK if mapped(b.data) else 1) for b in held.values()) > _MAX_HELD:
+        if sum(len(block.data) for block in held.values()) > _MAX_HELD:
             raise ValueError(
                 "log times are too disordered: sorting takes more than 32 MiB; fewer topics (--topic), "
                 "smaller chunks (hd-diag recover) or `mcap sort` make it less"
@@ -136,3 +160,19 @@ def _ordered(
         if len(ready):
             released = int(ready.log_time[-1])
             yield ready
+
+
+def _ahead(stretches: Sequence[list[Section]], load_one: Callable[[list[Section]], Block]) -> Iterator[Block]:
+    """What the stretches hold, in their order; what fits into `_AHEAD` is loaded before its turn."""
+    left, held = deque(stretches), 0
+    waiting: deque[tuple[int, Future[Block]]] = deque()
+    pool = ThreadPoolExecutor(2, thread_name_prefix="bag reader")
+    try:
+        while left or waiting:
+            while left and (not waiting or held + _size(left[0]) <= _AHEAD):
+                held += _size(left[0])
+                waiting.append((_size(left[0]), pool.submit(load_one, left.popleft())))
+            held -= waiting[0][0]
+            yield waiting.popleft()[1].result()
+    finally:
+        pool.shutdown(cancel_futures=True)

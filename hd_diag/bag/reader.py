@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,6 +23,8 @@ from hd_diag.bag.typestore import standard_joint_state, store_of
 from hd_diag.messages.joint_states import JOINT_STATE, Rejection, decode_joint_states
 from hd_diag.messages.schemas import deserialize, jazzy
 from hd_diag.streams.columns import JointStates
+
+_AT_ONCE = 1 << 14  # messages in a batch
 
 
 @dataclass(frozen=True)
@@ -234,8 +235,9 @@ def _by_name(counts: Iterable[tuple[Topic, int]]) -> dict[str, int]:
 
 
 def _runs(block: Block, alternating: list[int]) -> Iterator[Block]:
-    """Consecutive messages of one channel, or of any of those that may alternate."""
+    """Consecutive messages of one channel, or of any of those that may alternate; not too many at once."""
     key = np.where(np.isin(block.channel, alternating), -1, block.channel)
     bounds = (np.flatnonzero(np.diff(key)) + 1).tolist()
-    for first, last in pairwise([0, *bounds, len(block)]):
-        yield block[first:last]
+    for first, last in zip([0, *bounds], [*bounds, len(block)], strict=True):
+        for begin in range(first, last, _AT_ONCE):
+            yield block[begin : min(begin + _AT_ONCE, last)]

@@ -23,6 +23,8 @@ from hd_diag.bag.typestore import store_of
 from hd_diag.bag.writer import BagWriter
 from hd_diag.messages.schemas import jazzy
 
+# Messages copied at once: their columns as Python numbers take far more memory than they themselves.
+_AT_ONCE = 1 << 14
 _TOO_LONG = f"messages are longer than {MAX_MESSAGE} bytes"
 _Piece = tuple[dict[int, Topic], Block, int]  # topics, messages, place in the file [byte]
 
@@ -175,9 +177,11 @@ def _copy(
         _TOO_LONG: 0,
     }
     good, zstd = block[~is_late & is_known], zstandard.ZstdDecompressor()
-    for part in good.slices():
+    for first in range(0, len(good), _AT_ONCE):
+        part = good[first : first + _AT_ONCE]
         columns = (column.tolist() for column in (part.channel, part.log_time, part.publish_time))
-        for data, channel, *times in zip(part.messages(), *columns, strict=True):
+        contents = part.messages() if part.long is None else [part.long]
+        for data, channel, *times in zip(contents, *columns, strict=True):
             try:
                 message = decompressed(file.path, data, zstd) if packed else data
             except BagError:
@@ -245,7 +249,8 @@ def _salvage_mcap(path: Path, report: FileRecovery, stack: ExitStack) -> Iterato
         found.walk()
     for section in found.sections:
         try:
-            for block in found.load([section]).slices():
+            for part in found.parts(section):
+                block = found.load([part]) if part.channel is None else found.long_message(part)
                 read += len(block)
                 report.unverified += 0 if section.checksum else len(block)
                 yield found.topics(), block, section.offset + section.size
@@ -254,12 +259,13 @@ def _salvage_mcap(path: Path, report: FileRecovery, stack: ExitStack) -> Iterato
             report.unread += section.size
     for begin, end in gaps:
         report.unread += end - begin
-        part = found.load_part(begin, end)
-        if part is not None and len(part):
-            read += len(part)
-            report.unverified += len(part)
-            yield found.topics(), part, end
-            what = f"{len(part)} messages were read from a chunk that is cut off at byte {end}"
+        before = read
+        for block in found.load_part(begin, end):
+            read += len(block)
+            report.unverified += len(block)
+            yield found.topics(), block, end
+        if read > before:
+            what = f"{read - before} messages were read from a chunk that is cut off at byte {end}"
             report.problems.append(what)
     if found.statistics is not None:
         report.lost += max(0, found.statistics.message_count - read)

@@ -9,13 +9,14 @@ import sqlite3
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from hd_diag.bag.block import LARGE, Block, Topic, collected
+from hd_diag.bag.block import Block, LongMessage, Topic
 from hd_diag.bag.errors import BagError
-from hd_diag.bag.mcap_chunk import AT_ONCE
+from hd_diag.bag.mcap_chunk import AT_ONCE, LARGE
 from hd_diag.messages.schemas import Definition
 
 # A damaged or hostile database can keep a query busy for ever; an honest row takes less than 200 steps.
@@ -75,11 +76,13 @@ class SqliteFile:
     def blocks(self, numbers: Sequence[int] | None) -> Iterator[Block]:
         """Messages of some topics, or all, in the order of time; BagError where the database is damaged.
 
-        Those above `LARGE` are not held in memory where Python can read them bit by bit (3.11 and later).
+        Of all topics those above `LARGE` are given without their content, where Python can read that bit by
+        bit (3.11 and later).
         """
-        content, read = "CAST(data AS BLOB)", 0
-        which = "" if numbers is None else f"WHERE topic_id IN ({','.join(map(str, numbers))})"
-        if hasattr(sqlite3.Connection, "blobopen"):
+        which, content, read = "", "CAST(data AS BLOB)", 0
+        if numbers is not None:
+            which = f"WHERE topic_id IN ({','.join(map(str, numbers))})"
+        elif hasattr(sqlite3.Connection, "blobopen"):
             content = f"CASE WHEN LENGTH(data) <= {LARGE} THEN {content} END"
         query = f"SELECT topic_id, timestamp, {content}, id FROM messages {which} ORDER BY timestamp, id"
         try:
@@ -95,25 +98,31 @@ class SqliteFile:
 
     def _some(self, cursor: sqlite3.Cursor) -> Iterator[Block]:
         """The rows of a query, not too many at once and no more than a few megabytes; a long one alone."""
-        rows, size = list[tuple[int, int, bytes | memoryview]](), 0
-        for number, time, given, row in cursor:
-            if given is None and rows:
+        rows, size = list[tuple[int, int, bytes]](), 0
+        for number, time, content, row in cursor:
+            if content is not None:
+                rows.append((number, time, content))
+                size += len(content)
+            if rows and (content is None or len(rows) == _ROWS or size > _BYTES):
                 yield _block_of(rows)
                 rows, size = [], 0
-            content = self._content(row) if given is None else given
-            rows.append((number, time, content))
-            size += len(content)
-            if len(rows) == _ROWS or size > _BYTES:
-                yield _block_of(rows)
-                rows, size = [], 0
+            if content is None:
+                yield self._long_message(number, time, row)
         if rows:
             yield _block_of(rows)
 
-    def _content(self, row: int) -> memoryview:
-        """Content of a row, read bit by bit."""
+    def _long_message(self, number: int, time: int, row: int) -> Block:
+        """A message without its content."""
+
+        def read() -> Iterator[bytes]:
+            with closing(self._open()) as db, db.blobopen("messages", "data", row, readonly=True) as content:
+                while part := content.read(AT_ONCE):
+                    yield part
+
         with closing(self._open()) as db, db.blobopen("messages", "data", row, readonly=True) as content:
-            found, _ = collected(iter(lambda: content.read(AT_ONCE), b""), len(content))
-            return memoryview(found)
+            size = len(content)
+        head = _block_of([(number, time, b"")])
+        return replace(head, size=np.array([size]), long=LongMessage(size, read))
 
     def _copy(self, beside: Sequence[Path], folder: Path) -> None:
         """Copy files that belong together: a writer may be at work."""
@@ -175,10 +184,9 @@ def _topics(db: sqlite3.Connection) -> dict[int, Topic]:
     }
 
 
-def _block_of(rows: list[tuple[int, int, bytes | memoryview]]) -> Block:
+def _block_of(rows: list[tuple[int, int, bytes]]) -> Block:
     """Rows of (number of the topic, time [ns], content) as columns."""
     channels, times, contents = zip(*rows, strict=True)
-    time = np.array(times, np.int64)
-    none = np.zeros(len(time), np.int64)
-    empty = Block(np.empty(0, np.uint8), none, none, np.array(channels, np.int64), time, time)
-    return empty.holding(contents)
+    sizes, time = np.array([len(content) for content in contents], np.int64), np.array(times, np.int64)
+    data = np.frombuffer(b"".join(contents), np.uint8)
+    return Block(data, np.cumsum(sizes) - sizes, sizes, np.array(channels, np.int64), time, time)

@@ -15,6 +15,7 @@ from mcap.records import Channel, Schema
 from rosbags.interfaces import Qos
 
 from hd_diag.arrays import Bytes, Times
+from hd_diag.bag.block import LongMessage
 from hd_diag.bag.errors import BagError
 from hd_diag.bag.mcap_file import COMPRESSIONS, McapFile, Stream, Written
 from hd_diag.bag.place import Disk, Place
@@ -146,7 +147,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self,
         topic: str,
         type_name: str,
-        data: bytes | memoryview | Bytes,
+        data: bytes | memoryview | LongMessage,
         log_time: int,
         publish_time: int | None = None,
         qos: Qos | None = None,
