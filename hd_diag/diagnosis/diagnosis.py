@@ -133,11 +133,21 @@ def diagnose(
     work: Work | None = None,
     catalogue: Catalogue = CATALOGUE,
 ) -> Diagnosis:
-    """Compare the drive as configured with a record and find the causes of the difference in a catalogue.
+    """Compare the model with a record and find the causes of the difference.
 
-    A caller who screens a long record first need not keep it. The generator is for bootstrap intervals. Where
-    the time of the work is too short the result says what was left out; the fit, the gain and what no cause
-    explains never are.
+    Parameters
+    ----------
+    record : Record or Screened
+        A caller who screens a long record first need not keep it.
+    configured : Drive
+        The simulation as configured.
+    rng : numpy.random.Generator
+        For bootstrap intervals.
+    work : Work, optional
+        Reports how far this is. Where its time is too short the result says what was left out; the fit, the
+        gain and what no cause explains never are.
+    catalogue : tuple of Effect
+        Causes to search among.
     """
     work = work or Work()
     checked = record if isinstance(record, Screened) else screened(record, configured)
@@ -228,8 +238,7 @@ def _predicting(
         fit, kept = kept_parameters(fit, found.chosen)
     best = tried(fit, kept, found)
     if best.rms.misfit.suspected:  # too much may be held
-        displacements = kept.bounds.keys() & DISPLACEMENTS
-        for fewer in sorted({frozenset(displacements), frozenset[str]()}, key=len, reverse=True):
+        for fewer in dict.fromkeys((DISPLACEMENTS.intersection(kept.bounds), frozenset[str]())):
             if fewer < kept.bounds.keys():
                 freer = tried(*keeping(found.fit, found.chosen, fewer), found)
                 if not freer.rms.misfit.suspected:
