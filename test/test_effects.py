@@ -507,8 +507,14 @@ def test_lines_of_an_output_encoder_are_a_multiple_of_four(signals: Signals) -> 
         ("hysteresis", (2e-5, 1e-5), (), True),
         ("hysteresis", (2e-5, -3e-6), (), True),
         ("hysteresis", (-1e-5, 2e-5), (), False),
-        ("torsional_hardening", (1e-6, -2e-6), (), True),
-        ("torsional_hardening", (1e-6, 1e20), (), False),  # the tail of a knee far beyond all torques
+        ("torsional_hardening", (1e-6, -2e-6), (9.0, 38.0, 0.1), True),
+        ("torsional_hardening", (2e-4, -7e-4), (0.2, 48.0, 0.4), True),  # one smooth curve of two large
+        ("torsional_hardening", (1e-6, 1e20), (9.0, 38.0, 0.1), False),
+        ("torsional_hardening", (1e-6, 1e-2), (9.0, 400.0, 0.3), False),  # a knee beyond all torques
+        ("coulomb_windup", (1.0,), (0.003, 0.1, 0.0, 10.0), True),
+        ("coulomb_windup", (-1.0,), (0.003, 0.1, 0.0, 10.0), False),  # friction drives nothing
+        ("viscous_windup", (1.0,), (0.75,), True),
+        ("viscous_windup", (-1.0,), (0.75,), False),
         ("coupling_misalignment", (1e-3, 0.0, 3e-4), (1.0,), True),
         ("coupling_misalignment", (1e-3, 0.0, 0.0), (0.0,), True),
         ("coupling_misalignment", (1e-3, 0.0, -1e-4), (1.0,), False),  # so much play is friction

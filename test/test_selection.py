@@ -7,7 +7,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from benches import CONFIGURED, EFFECTS, POINT, TRUE, Part, bench, of, swinging
-from joint_records import ARCSEC, RATIO
+from joint_records import ARCSEC, RATIO, prepared
 from joint_records import NOISE as NOISE_OF_RECORD
 
 from hd_diag.diagnosis import diagnosis
@@ -23,6 +23,7 @@ from hd_diag.diagnosis.search.kept_parameters import kept_parameters
 from hd_diag.diagnosis.search.ranking import candidates, family_size
 from hd_diag.diagnosis.search.selection import (
     _next,
+    _plainly_better,
     _ranked_when_settled,
     _refitted,
     _with_torque_zero,
@@ -99,12 +100,30 @@ def test_a_cage_is_named_only_where_its_order_is_no_whole_one_of_the_output(orde
     fit = bench(wave(order))
     best = candidates(fit, ())
     assert best[0].effect.name == "bearing_passage"
-    found = _next(fit, (), family_size(fit), best)
+    found = _next(fit, (), family_size(fit), best, ())
     assert found is not None
     assert (found.effect.name, found.nonlinear[0]) == (
         named,
         pytest.approx(order if order == 45 else 0.455, abs=1e-3),
     )
+
+
+def test_a_line_beside_the_gear_s_own_order_is_no_ripple_of_a_torque() -> None:
+    """Over a quarter of a turn, 99 a turn of the output are nearly once a turn of the input by position."""
+    found = search(bench(wave(99.0), wave(45.0)), np.random.default_rng(0))
+    assert found.causes == ()
+    assert {item[1] for item in found.unmodelled} >= {(45.0,)}
+
+
+@pytest.mark.parametrize(("settles", "expected"), [(10.0, False), (0.2, True)])
+def test_a_term_takes_a_cause_s_place_only_if_it_is_plainly_better(settles: float, expected: bool) -> None:
+    """What grows with the way also drifts with a temperature that rises for long, all but a few per cent."""
+    drift, creep = (EFFECTS["thermal_drift"], (1.0,)), (UNMODELLED_TERMS[2], ())
+    record = swinging()
+    warming = dataclasses.replace(record, temperature=25.0 - 12.0 * np.exp(-record.time / settles))
+    fit = bench(lambda signals: 20.0 * ARCSEC * creep[0].columns(signals, ())[:, 0], record=warming)
+    before = settle(fit, (drift,))
+    assert _plainly_better((before, (drift,)), settle(before, (drift, creep)), (creep,)) is expected
 
 
 def test_lines_of_the_output_are_described() -> None:
@@ -172,6 +191,21 @@ def test_what_a_motor_needs_itself_is_no_cause() -> None:
     assert values["loaded_friction"] / gain == pytest.approx(0.1, abs=0.01)
     assert values["inertia"] / gain == pytest.approx(2.0, abs=0.2)
     assert np.std(found.fit.remainder(found.chosen)) < 1.05 * NOISE_OF_RECORD
+
+
+def test_friction_of_one_direction_is_a_wrong_zero_of_the_torque() -> None:
+    """What begins as two shapes of their grids is one at its best: the class holds both."""
+    record = swinging()
+    angle = 60.0 * record.time + 5.0 * np.sin(record.time)
+    torque = 20.0 * np.sin(record.time)
+    output = angle / RATIO + transmission_error(TRUE, angle, torque + 3.0)
+    output += NOISE_OF_RECORD * np.random.default_rng(0).standard_normal(record.size)
+    forward = prepared(
+        {"time": record.time, "input": angle, "output": output, "torque": torque},
+    )
+    found = search(bench(record=forward), np.random.default_rng(0))
+    (cause,) = found.causes
+    assert {"torque_offset", "coulomb_windup"} <= set(cause.alike)
 
 
 def test_stiffness_and_a_current_s_constant_are_open_by_one_factor() -> None:

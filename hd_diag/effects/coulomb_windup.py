@@ -58,7 +58,7 @@ EFFECT = CoulombWindup(
     broadband=True,
     grid=((0.003, 0.1, 0.0, 10.0), (0.003, 1.0, 0.5, 3.0), (0.3, 0.0, 0.0, 3.0), (0.05, 0.0, 0.5, 10.0)),
     quantities=(
-        Quantity("friction", "N m", -1e3, 1e3, 1.0, "a, while the joint moves"),
+        Quantity("friction", "N m", 0.0, 1e3, 1.0, "a, while the joint moves", strict=True),
         Quantity("way", "rad", 1e-4, 30.0, 0.1, "x_0, of the input, over which it builds up", linear=False),
         Quantity("creep_speed", "rad/s", 0.0, 3.0, 0.1, "omega_0, of the input; 0: kept at rest", False),
         Quantity("stribeck", "-", 0.0, 2.0, 0.5, "b, share of it that is more at low speed", linear=False),

@@ -16,6 +16,7 @@ _FIRST, _SECOND = (0.08, 0.18, 0.35), (0.5, 0.8)  # of the greatest torque
 _WIDTHS = (0.01, 0.5)  # of the knees
 _SHARP = 1e-6  # [N m]; no knee is sharper
 _MOST = 100.0  # times the usual compliance: no torque is near a knee of which so much is needed
+_PLACES = 24  # torques at which the added compliance is looked at
 _LEAST = 0.25  # of the rated torque, that the record must reach
 
 
@@ -27,8 +28,16 @@ class TorsionalHardening(Effect):
     """
 
     def sensible(self, coefficients: Floats, nonlinear: Values) -> bool:
-        """Whether the knees are where torques are; see :meth:`Effect.sensible`."""
-        return bool(np.all(np.abs(coefficients) < _MOST * self.usual))
+        """Whether the knees are where torques are; see :meth:`Effect.sensible`.
+
+        Up to them compliances are what a gear can have; wide bends may do so as the difference of two large.
+        """
+        *knees, width = nonlinear
+        torque = np.linspace(0.0, max(knees), _PLACES)
+        added = sum(
+            a * _step(torque, knee, width * knee) for a, knee in zip(coefficients, knees, strict=True)
+        )
+        return bool(np.all(np.abs(added) < _MOST * self.usual[0]))
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Ramps from both knees; see :meth:`Effect.columns`."""
@@ -40,6 +49,14 @@ class TorsionalHardening(Effect):
         greatest = float(np.max(np.abs(signals.torque), initial=0.0))
         pairs = [(one * greatest, two * greatest) for one in _FIRST for two in _SECOND]
         return Starts.grid((*pair, width) for pair in pairs for width in _WIDTHS)
+
+
+def _step(torque: Floats, knee: float, width: float) -> Floats:
+    """Derivative of :func:`_ramp` by the torque [-]."""
+    width = max(width, _SHARP)
+    return np.asarray(
+        1.0 + 0.5 * (np.tanh(0.5 * (torque - knee) / width) - np.tanh(0.5 * (torque + knee) / width))
+    )
 
 
 def _ramp(torque: Floats, knee: float, width: float) -> Floats:

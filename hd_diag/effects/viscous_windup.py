@@ -36,7 +36,7 @@ EFFECT = MeshTorque(
     shape=_friction,
     grid=((0.75,), (1.0,)),
     quantities=(
-        Quantity("friction", "N m", -1e3, 1e3, 1.0, "c, at 100 rad/s of the input"),
+        Quantity("friction", "N m", 0.0, 1e3, 1.0, "c, at 100 rad/s of the input", strict=True),
         Quantity("exponent", "-", 0.5, 1.3, 1.0, "p, of the speed", linear=False),
     ),
     confused_with=("stream_delay", "coulomb_windup"),

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy import stats
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit import fit_parameters
@@ -20,6 +21,7 @@ _SHARES = (1.0, 0.3, 0.1)  # of a step, tried in turn until one makes the fit no
 _WORSE = 1.05  # times the deviance before, that a step may leave on its way
 _LONGEST, _CLEARLY = 8.0, 1.3  # times a step, that it may fall short; from where a longer one is tried
 _LINEAR = 1.0  # standard deviations; the model is linear over such steps
+_SIDE = 0.975  # of a distribution, below the upper end of a 95 % interval
 _SETTLED = 0.05  # deviance; what a further round could gain
 
 
@@ -181,7 +183,8 @@ def covariance(fit: LinearisedFit, chosen: Chosen) -> tuple[Floats, list[npt.NDA
 def _wider(fit: LinearisedFit, beta: Floats, spread: Floats, built: Design) -> Floats:
     """Deviations by scatter (sandwich estimate) over those of the noise model, at least the misfit.
 
-    The scatter of blocks, or that of recordings, which are alike within: the greater of both.
+    The scatter of blocks, more for being of few (Student's t), or that of recordings, which are alike within:
+    the greater of both.
     """
     scatter = (built.moment - built.gram @ beta) @ spread
     bags, number = np.unique(fit.data.bag_of_block, return_inverse=True)
@@ -190,6 +193,8 @@ def _wider(fit: LinearisedFit, beta: Floats, spread: Floats, built: Design) -> F
     variances = [
         np.sum(parts**2, axis=0) * len(parts) / max(len(parts) - 1, 1) for parts in (scatter, together)
     ]
+    if len(scatter) > 1:
+        variances[0] *= (stats.t.ppf(_SIDE, len(scatter) - 1) / stats.norm.ppf(_SIDE)) ** 2
     variance = np.maximum(*variances) if bags.size > 1 else variances[0]
     least = fit.misfit**2
     return np.asarray(np.sqrt(np.maximum(variance / np.maximum(np.diag(spread), 1e-300), least)))

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.design import interval, lower_bound
-from hd_diag.diagnosis.fit.joint_refinement import covariance
+from hd_diag.diagnosis.fit.joint_refinement import covariance, free, polished
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.search.acceptance import (
     block_deviances,
@@ -162,8 +162,12 @@ def _beaten(fit: LinearisedFit, chosen: Chosen, index: int) -> bool:
     if not terms:
         return False
     trial, now = (*others, (terms[0].effect, terms[0].nonlinear)), itself.deviance((*others, chosen[index]))
-    least = max(2.0 * CLASS_DEVIANCE, _PLAINLY * (without.deviance(others) - now))
-    return without.corrected(trial).deviance(trial) < now - least
+    return without.corrected(trial).deviance(trial) < now - plain_gain(without.deviance(others) - now)
+
+
+def plain_gain(gain: float) -> float:
+    """By how much an unmodelled term must beat a cause of some gain to take its place."""
+    return max(2.0 * CLASS_DEVIANCE, _PLAINLY * gain)
 
 
 def left_out(fit: LinearisedFit, chosen: Chosen, index: int) -> tuple[LinearisedFit, LinearisedFit, Chosen]:
@@ -275,7 +279,13 @@ def _alike(fit: LinearisedFit, chosen: Chosen, index: int, rivals: Collection[st
             continue
         trial = (*others, (candidate.effect, candidate.nonlinear))
         there, blind = without.corrected(trial), wanders(chosen) or wanders(trial)
-        if not _separable(_deviances(there, trial, blind) - _deviances(itself, again, blind)):
+        worse = _deviances(there, trial, blind) - _deviances(itself, again, blind)
+        if (
+            _separable(worse) and free(candidate.effect) and worse.sum() < far
+        ):  # it may do as well at its best
+            there, trial = polished(there, trial)
+            worse = _deviances(there, trial, blind) - _deviances(fit, chosen, blind)
+        if not _separable(worse):
             found.append(candidate.effect.name)
     return found
 

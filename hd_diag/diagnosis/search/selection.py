@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from hd_diag.diagnosis.fit.joint_refinement import free, polished, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.refit import FEW_STARTS, Refit, distinct, refit
 from hd_diag.diagnosis.search.acceptance import FAMILY_ERROR, by_chance, needed, passing
-from hd_diag.diagnosis.search.causes import Search, causes
+from hd_diag.diagnosis.search.causes import Search, causes, plain_gain
 from hd_diag.diagnosis.search.exchange import (
     best_nonlinear,
     deviance_of,
@@ -40,6 +40,7 @@ _MOST_TERMS = 3  # unmodelled, beside lines of the output's turn
 _RIVALS = 6  # best candidates of a round that are tried later in place of others
 _UNEVEN = 1.3  # ratio of the residual at high and low speed from which both are fitted apart
 _AS_MUCH = 0.9  # share of the best candidate's gain from which another is tried with all settled
+_MISLED = 0.3  # the same where the parameters are those of another drive for certain
 _HALF = 0.5  # the same for candidates beside which the parameters are those of another drive
 _HIDDEN = 0.05  # share of a cause's columns below which the parameters imitate it
 _ALONG_A_VALLEY = 8  # rounds of settling in which the parameters can reach another drive
@@ -103,7 +104,7 @@ def _rounds(
     if chosen:
         fit, chosen = polished(fit, chosen)
         yield fit, chosen
-    family = family_size(fit)
+    family, refused = family_size(fit), set[str]()
     for number in range(_MOST_CAUSES + _MOST_TERMS + len(OUTPUT_LINES)):
         fit.work.tell(_LAST - (_LAST - _FIRST) * _ROUND**number, f"looking for cause {len(chosen) + 1}")
         fit = fit.recentred()
@@ -115,15 +116,20 @@ def _rounds(
                 fit, best = _refitted_at_low_speed(fit, best, rng)
             fit, best = _ranked_when_settled(fit, chosen, best, rng, begun.parameters if begun else None)
         rivals |= {candidate.effect.name for candidate in best[:_RIVALS]}
-        found = _next(fit, chosen, family, best)
+        found = _next(fit, chosen, family, best, refused)
         if found is None:
             break
-        p_values[found.effect.name] = found.p_value
+        before, p_values[found.effect.name] = (fit, chosen), found.p_value
         chosen = (*chosen, (found.effect, found.nonlinear))
         fit, chosen = refined(fit, chosen)
         fit, chosen = on_certain_rows(fit, chosen)
         if isinstance(found.effect, UnmodelledTerm):  # a cause that was only the nearest to it may go
-            chosen = needed(fit, chosen)
+            fewer = needed(fit, chosen)
+            if fewer != chosen and not _plainly_better(before, fit, fewer):
+                fit, chosen = before
+                refused.add(found.effect.name)
+                continue
+            chosen = fewer
             yield fit, chosen
             continue
         yield fit, chosen
@@ -141,13 +147,15 @@ def speed_dependent(fit: LinearisedFit) -> bool:
     return bool(slow < 0.5 * fast and not 1.0 / _UNEVEN < ratio < _UNEVEN)
 
 
-def _next(fit: LinearisedFit, chosen: Chosen, family: int, best: list[Candidate]) -> Candidate | None:
+def _next(
+    fit: LinearisedFit, chosen: Chosen, family: int, best: list[Candidate], refused: Collection[str]
+) -> Candidate | None:
     """The best candidate that passes every test; where none does, the best unmodelled term; else None.
 
     A cause that fails at its grid point is tried between grid points. A term that is not predictive comes
     last: a constant for every run imitates friction and drift together.
     """
-    terms = ranked(fit, chosen, _unmodelled(chosen))[:2]
+    terms = ranked(fit, chosen, [term for term in _unmodelled(chosen) if term.name not in refused])[:2]
     likely = [one for one in best[:1] if by_chance(one, family) <= FAMILY_ERROR]
     leading = [one for one in terms[:1] if isinstance(one.effect, UnmodelledTerm) and one.effect.predictive]
     ahead = bool(best and leading) and leading[0].surprise > best[0].surprise + _margin(leading[0], best[0])
@@ -162,6 +170,14 @@ def _next(fit: LinearisedFit, chosen: Chosen, family: int, best: list[Candidate]
         )
         or passing(fit, chosen, terms, family)
     )
+
+
+def _plainly_better(before: tuple[LinearisedFit, Chosen], fit: LinearisedFit, fewer: Chosen) -> bool:
+    """Whether an unmodelled term, the last one, explains plainly more than causes that go with it."""
+    there, causes = replace(before[0], whiten=fit.whiten), before[1]
+    now = deviance_of(there, causes)
+    without = deviance_of(there, tuple(item for item in causes if item in fewer))
+    return deviance_of(fit, fewer) < now - plain_gain(without - now)
 
 
 def _unmodelled(chosen: Chosen) -> list[UnmodelledTerm]:
@@ -194,7 +210,7 @@ def _ranked_when_settled(
     moved = begun is not None and bool(distinct([fit.parameters, begun])[1:])
     large = bool(best) and best[0].gain > _LARGE * rows
     misled = not chosen and large and (far or moved or bool(at_bound(fit.parameters, fit.data.configured)))
-    share = _AS_MUCH if far or misled else _HALF
+    share = _MISLED if misled else _AS_MUCH if far else _HALF
     plain = [one for one in best if one.surprise > _PLAINLY]
     hidden = _imitated_by_parameters(fit, chosen, plain)
 

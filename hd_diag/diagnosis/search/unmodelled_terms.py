@@ -141,7 +141,7 @@ def _line_numbers(signals: Signals) -> Integers:
         return np.empty(0, np.int64)
     ratio = abs(signals.ratio)
     number = np.arange(max(_LOWEST, math.ceil(_PERIODS / turned)), int(_HIGHEST * ratio))
-    of_gear = np.abs(number - ratio * np.rint(number / ratio)) <= 2.0
+    of_gear = np.abs(number - ratio * np.rint(number / ratio)) < 1.0
     return number[~of_gear & ~OUTPUT_ENCODER_LINES.divides(number)]
 
 
