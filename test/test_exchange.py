@@ -21,6 +21,18 @@ def test_a_shape_of_many_coefficients_gives_way_to_the_two_causes_that_it_imitat
     assert found.fit(two)[0][found.places(two)[1]] == pytest.approx(np.array([-1.5]), abs=0.03)
 
 
+def test_a_shape_of_many_coefficients_gives_way_to_one_cause_at_other_parameters() -> None:
+    """Worn teeth, where a wider clearance was taken for a greater datum and the rest for a pitch error."""
+    wear, pitch = EFFECTS["wear_backlash"], EFFECTS["circular_spline_pitch"]
+    chosen = ((pitch, ()),)
+    away = np.array([-1.0, -0.5, 0.0, 0.0, 8.0, 0.0, 0.0])
+    fit = settle(bench(of(wear, clearance=4e-6)).moved(POINT + away), chosen)
+    names = {pitch.name, wear.name, "circular_spline_form", "input_encoder_eccentricity"}
+    found, one = swapped(fit, chosen, names)
+    assert [effect.name for effect, _ in one] == [wear.name]
+    assert found.fit(one)[0][found.places(one)[0]] == pytest.approx(np.array([4e-6]), rel=0.1)
+
+
 def test_a_cause_is_not_given_up_before_it_is_settled() -> None:
     """Beside parameters that are on their way still, harmonics of a pitch error explain more for now."""
     rubbing = EFFECTS["viscous_windup"]

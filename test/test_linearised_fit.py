@@ -145,6 +145,16 @@ def test_rows_near_the_real_zero_of_the_torque_are_left_out(plain: LinearisedFit
     assert made.clear_of(np.zeros(made.data.source.size)) is made
 
 
+def test_rows_are_certain_only_where_the_torque_is_whichever_law_a_friction_has(plain: LinearisedFit) -> None:
+    """Where a joint turns round, friction may have gone: the flank is then that of the offset alone."""
+    offset, friction = (EFFECTS["torque_offset"], ()), (EFFECTS["viscous_windup"], (1.0,))
+    sized = ((offset, np.array([3.0])), (friction, np.array([2.0])))
+    ways = plain.effects.possible_torques(sized)
+    alone = [plain.effects.torque((one,)) for one in sized]
+    assert_allclose(ways, np.column_stack((sum(alone), *alone[::-1])), atol=1e-12)
+    assert_allclose(plain.effects.possible_torques(()), np.zeros((plain.data.source.size, 1)))
+
+
 def test_amplitude_of_another_torque_is_that_along_the_whole_record() -> None:
     offset, size = EFFECTS["torque_offset"], np.array([2.0])
     drift, both = EFFECTS["output_runout"], np.array([1e-5, 0.0])

@@ -65,6 +65,8 @@ def test_gaps_of_the_reported_and_the_real_torque_are_left_out() -> None:
     left_out = record.torque[kept & ~shifted]
     assert left_out.size > 50
     assert np.all(np.abs(left_out + 4.0) < 1.0)
+    ways = np.tile([4.0, -6.0, 0.0], (record.size, 1))
+    assert_array_equal(usable(record, ways), shifted & usable(record, -6.0))
 
 
 def test_a_torque_whose_noise_hides_its_sign_is_left_out() -> None:

@@ -78,7 +78,7 @@ class LinearisedFit:
         return replace(self, parameters=parameters, present=self._motor)
 
     def clear_of(self, shift: Floats) -> LinearisedFit:
-        """Exclude rows where the torque plus a shift [N m] of all rows is near zero; as :meth:`moved`."""
+        """Exclude rows where the torque may be near zero, see :func:`usable`; as :meth:`moved`."""
         data = self.data.on(self.data.mask & usable(self.data.source, shift))
         return self if data is self.data else replace(self, data=data, present=self._motor)
 

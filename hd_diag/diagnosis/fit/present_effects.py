@@ -104,6 +104,12 @@ class PresentEffects:
         """What effects add to the torque in the mesh at all rows [N m]."""
         return mesh_torques(self.data.model, self.parameters, sized).more
 
+    def possible_torques(self, sized: Sized) -> Floats:
+        """The same, and what is added beside each one left out, for its law may be another there; (n, k)."""
+        sought = [one for one in sized if isinstance(one[0][0], MeshTorque) and not one[0][0].given]
+        parts = [sized, *(tuple(other for other in sized if other is not one) for one in sought)]
+        return np.column_stack([self.torque(part) for part in parts])
+
     def together(self, sized: Sized) -> Floats:
         """Part of several effects in the error, torques added up before the mesh bears them; (n,) [rad]."""
         torques = mesh_torques(self.data.model, self.parameters, sized)

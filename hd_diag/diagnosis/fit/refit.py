@@ -171,8 +171,8 @@ def usable(record: Record, shift: Floats | float = 0.0) -> npt.NDArray[np.bool_]
     Parameters
     ----------
     record : Record
-    shift : ndarray, shape (n,), or float
-        Real less reported torque, where that is known [N m].
+    shift : ndarray, shape (n,) or (n, k), or float
+        Real less reported torque [N m], where that is known; k ways that it may be.
 
     Returns
     -------
@@ -180,7 +180,8 @@ def usable(record: Record, shift: Floats | float = 0.0) -> npt.NDArray[np.bool_]
     """
     found = ~_resting(record)
     if record.has_torque:
-        load = np.minimum(np.abs(record.torque), np.abs(record.torque + shift))
+        shifted = np.abs(record.torque + np.atleast_2d(np.asarray(shift).T)).min(axis=0)
+        load = np.minimum(np.abs(record.torque), shifted)
         for least in (_GAP * np.percentile(np.abs(record.torque), 99), _CERTAIN * record.torque_deviation):
             certain = found & (load >= least)
             if np.count_nonzero(certain) >= _ENOUGH * np.count_nonzero(found):

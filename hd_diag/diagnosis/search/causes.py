@@ -104,8 +104,8 @@ class Search:
 
     @property
     def torque_shift(self) -> Floats:
-        """Real torque by the causes less that of the record that is fitted, at all its rows [N m]."""
-        return self.fit.effects.torque(self.fit.sized(self.chosen, self.fit.fit(self.chosen)[0]))
+        """What the torque may be by the causes less that of the record that is fitted, (n, k) [N m]."""
+        return self.fit.effects.possible_torques(self.fit.sized(self.chosen, self.fit.fit(self.chosen)[0]))
 
 
 def causes(

@@ -14,6 +14,7 @@ from hd_diag.diagnosis.search.unmodelled_terms import UnmodelledTerm
 from hd_diag.effects.effect import Effect, Stage
 
 _FLEXIBLE = 8  # coefficients from which a shape may imitate two causes
+_TRIED = 3  # best causes of few coefficients, that are tried settled in its place
 _FIRST_MOVE = 0.5  # of a grid step, by which a refinement begins
 _TO_THE_END = 8  # rounds
 _REFINED = 0.55  # of the time that a diagnosis may take, by which it must end
@@ -32,14 +33,15 @@ def refined(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
 def on_certain_rows(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
     """Exclude rows where the torque that the effects leave may be near zero, and fit again."""
     sized = fit.sized(chosen, fit.fit(chosen)[0])
-    certain = fit.clear_of(fit.effects.torque(sized))
+    certain = fit.clear_of(fit.effects.possible_torques(sized))
     return (fit, chosen) if certain is fit else refined(certain.beside(sized), chosen)
 
 
 def swapped(fit: LinearisedFit, chosen: Chosen, rivals: set[str]) -> tuple[LinearisedFit, Chosen]:
     """Exchange chosen effects for better ones, or for themselves at a better grid point.
 
-    A shape of many coefficients is exchanged for two causes of few as well: greedily chosen, it takes both.
+    A shape of many coefficients is exchanged for one or two causes of few as well: greedily chosen, it takes
+    their place.
     """
     for index, (effect, _) in enumerate(chosen[:-1]):
         if effect.stage > Stage.GEAR:
@@ -50,16 +52,17 @@ def swapped(fit: LinearisedFit, chosen: Chosen, rivals: set[str]) -> tuple[Linea
             continue
         without, itself, others = left_out(fit, chosen, index)
         again = (*others, (effect, nonlinear))
-        least = min(fit.deviance(chosen), itself.deviance(again)) - CLASS_DEVIANCE
+        least = min(_priced(fit, chosen), _priced(itself, again)) - CLASS_DEVIANCE
         found = ranked(without, others, by_name(fit, rivals))
         if not found:
             continue
         trial, there = (*others, (found[0].effect, found[0].nonlinear)), without
         if effect.size >= _FLEXIBLE and found[0].effect.name == effect.name:
-            there, trial = _two_in_place_of_one(without, others, found[1:], rivals - {effect.name})
-        if trial != again and deviance_of(there, trial) < least:
+            few = rivals - {effect.name}
+            there, trial = _few_in_place_of_one(without, others, found[1:], few, least)
+        if trial != again and _priced(there.corrected(trial), trial) < least:
             fit, there = _settled(fit, chosen), _settled(there.corrected(trial), trial)
-            if there.deviance(trial) < fit.deviance(chosen) - CLASS_DEVIANCE:
+            if _priced(there, trial) < _priced(fit, chosen) - CLASS_DEVIANCE:
                 fit, chosen = refined(there, trial)
     return fit, chosen
 
@@ -69,16 +72,24 @@ def _settled(fit: LinearisedFit, chosen: Chosen) -> LinearisedFit:
     return settle(fit, chosen, _TO_THE_END, learn=False)
 
 
-def _two_in_place_of_one(
-    fit: LinearisedFit, others: Chosen, found: list[Candidate], rivals: set[str]
+def _priced(fit: LinearisedFit, chosen: Chosen) -> float:
+    """Deviance with Akaike's price of the coefficients: of what explains as much, less is more."""
+    return fit.deviance(chosen) + 2.0 * sum(effect.size for effect, _ in chosen)
+
+
+def _few_in_place_of_one(
+    fit: LinearisedFit, others: Chosen, found: list[Candidate], rivals: set[str], least: float
 ) -> tuple[LinearisedFit, Chosen]:
-    """The fit beside the two best causes in place of a shape that may imitate both."""
+    """The fit beside the best cause, or the best two, in place of a shape that may imitate both."""
     for _ in range(2):
-        few = [one for one in found if one.effect.size < _FLEXIBLE]
-        if not few:
+        few = [one for one in found if one.effect.size < _FLEXIBLE][:_TRIED]
+        trials = [(*others, (one.effect, one.nonlinear)) for one in few]
+        if not trials:
             break
-        others = (*others, (few[0].effect, few[0].nonlinear))
-        fit = settle(fit.corrected(others), others, rounds=2, learn=False)
+        settled = [(_settled(fit.corrected(trial), trial), trial) for trial in trials]
+        fit, others = min(settled, key=lambda one: _priced(*one))
+        if _priced(fit, others) < least:
+            break
         found = ranked(fit, others, by_name(fit, rivals))
     return fit, others
 
