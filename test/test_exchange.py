@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from benches import EFFECTS, POINT, bench, of
-from joint_records import ARCSEC
+from joint_records import ARCSEC, NOISE
 
 from hd_diag.diagnosis.fit.joint_refinement import settle
-from hd_diag.diagnosis.search.exchange import deviance_of, finished_in_time, swapped
+from hd_diag.diagnosis.search.exchange import deviance_of, finished_in_time, refined, swapped
 
 
 def test_a_shape_of_many_coefficients_gives_way_to_the_two_causes_that_it_imitates() -> None:
@@ -31,6 +31,16 @@ def test_a_shape_of_many_coefficients_gives_way_to_one_cause_at_other_parameters
     found, one = swapped(fit, chosen, names)
     assert [effect.name for effect, _ in one] == [wear.name]
     assert found.fit(one)[0][found.places(one)[0]] == pytest.approx(np.array([4e-6]), rel=0.1)
+
+
+def test_a_slot_beside_the_damaged_one_is_given_up_for_it() -> None:
+    damage = EFFECTS["tooth_damage"]
+    slots = [slot for (member, slot) in damage.neighbours(bench().signals, (0.0, 2.0)) if member == 0.0]
+    hurt, beside = slots[1], slots[2]
+    fit = bench(lambda signals: damage.response(signals, np.array([2e-5, 2e-5]), (0.0, hurt)))
+    found, chosen = refined(fit, ((damage, (0.0, beside)),))
+    assert chosen[0][1] == pytest.approx((0.0, hurt))
+    assert np.std(found.remainder(chosen)) < 1.05 * NOISE
 
 
 def test_a_cause_is_not_given_up_before_it_is_settled() -> None:

@@ -30,7 +30,10 @@ DEVELOPMENT = range(0, 1_000_000)
 FINAL = range(1_000_000_000, 1_001_000_000)
 
 Names = Callable[[Draw, int], list[str]]
-SAME_CLASS = ({"output_runout", "output_encoder_eccentricity"},)
+SAME_CLASS = (
+    {"output_runout", "output_encoder_eccentricity"},
+    {"input_encoder_eccentricity", "coupling_misalignment"},  # twice a turn: the encoder's second harmonic
+)
 
 
 def generator(family: str, seed: int) -> np.random.Generator:

@@ -28,7 +28,7 @@ LEAST_SIZE = 0.25 * ARCSEC
 _SHAPE = 0.08  # of a smooth law's size, to which its shape is known
 _SHAPES = 8  # other shapes of a smooth law that are tried at most
 _STAYING = 0.8  # share of an effect that these must leave of it, for it to be another cause
-_LOOP = 0.01  # of the model's torsion, that its loops are right to
+_CYCLES = 3.0  # samples by which torque and angles may be out of step
 _LATE = 0.002  # the same of a delay
 _OWN = 0.1  # of what an effect brings, that it must bring beside parameters free of their bounds, too
 _CERTAIN_SIZE = 0.5 * ARCSEC  # of a shape that nothing held out can prove [rad rms]
@@ -119,8 +119,11 @@ def smooth(effect: Effect) -> bool:
 
 def least_size(fit: LinearisedFit, effect: Effect) -> float:
     """Size that an effect has to have in the end [rad rms]: torsion by a late torque is a small loop, too."""
-    loop = _LOOP * float(np.std(fit.signals.predicted)) if effect.name == "hysteresis" else 0.0
-    return max(LEAST_SIZE, loop)
+    if effect.name != "hysteresis":
+        return LEAST_SIZE
+    whole = fit.whole
+    loop = (whole.predicted_torque_slope * fit.data.model.rate(whole.torque))[fit.data.at]
+    return max(LEAST_SIZE, _CYCLES * float(np.median(np.diff(whole.time)) * np.std(loop)))
 
 
 def needed(fit: LinearisedFit, chosen: Chosen) -> Chosen:

@@ -27,6 +27,9 @@ def refined(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
     if free(effect):
         chosen = (*chosen[:-1], (effect, best_nonlinear(fit, chosen[:-1], effect, nonlinear)))
         fit = settle(fit, chosen, rounds=1)
+    again = _best_neighbours(fit, chosen, len(chosen) - 1)
+    if again != chosen:
+        fit, chosen = settle(fit.corrected(again), again, rounds=2), again
     return _best_discrete_values(fit, chosen, len(chosen) - 1)
 
 
@@ -105,14 +108,21 @@ def _finished(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen
     """Everything at its best; discrete values are tried once more beside all others."""
     fit, chosen = polished(fit, chosen)
     again = chosen
-    for index, (effect, nonlinear) in enumerate(chosen):
-        for other in effect.neighbours(fit.signals, nonlinear):
-            trial = (*again[:index], (effect, other), *again[index + 1 :])
-            if deviance_of(fit, trial) < deviance_of(fit, again):
-                again = trial
+    for index in range(len(chosen)):
+        again = _best_neighbours(fit, again, index)
     if again != chosen:
         fit, chosen = polished(settle(fit.corrected(again), again, learn=False), again)
     return _without_idle(fit, chosen)
+
+
+def _best_neighbours(fit: LinearisedFit, chosen: Chosen, index: int) -> Chosen:
+    """The chosen effects, one of them at the best of the discrete values beside its own."""
+    effect, nonlinear = chosen[index]
+    trials = [
+        (*chosen[:index], (effect, value), *chosen[index + 1 :])
+        for value in effect.neighbours(fit.signals, nonlinear)
+    ]
+    return min((chosen, *trials), key=lambda trial: deviance_of(fit, trial))
 
 
 def _without_idle(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
