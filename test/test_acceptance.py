@@ -86,6 +86,14 @@ def test_the_shape_of_a_torsion_that_goes_with_position_is_no_runout() -> None:
     assert not only_corrects_shape(off_centre.corrected(chosen), chosen, 0)
 
 
+def test_what_another_effect_undoes_is_none_of_its_own() -> None:
+    """A bent coupling is an off-centre encoder's second harmonic: beside it nothing of it can be told."""
+    bent, off_centre = (EFFECTS["coupling_misalignment"], (0.0,)), (EFFECTS["input_encoder_eccentricity"], ())
+    fit = bench(of(bent[0], angle=0.05, direction=0.4, play=0.0, plays=0.0))
+    for chosen, expected in (((bent,), False), ((bent, off_centre), True)):
+        assert only_corrects_shape(fit.corrected(chosen), chosen, 0) is expected
+
+
 def test_zeros_of_the_encoders_have_no_shape_to_be_wrong() -> None:
     """Each recording's zero takes most of a drift by temperature; what they leave is the drift's own."""
     record = swinging()

@@ -19,7 +19,7 @@ from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.fit.refit import Refit, refit
 from hd_diag.diagnosis.gain import MISFIT, Rms, held_out
 from hd_diag.diagnosis.search.causes import Search, causes, doubted, motor_deviations, parameters_of
-from hd_diag.diagnosis.search.kept_parameters import kept_parameters
+from hd_diag.diagnosis.search.kept_parameters import GROUPS, Kept, kept_parameters
 from hd_diag.diagnosis.search.ranking import candidates, family_size
 from hd_diag.diagnosis.search.selection import (
     _next,
@@ -282,6 +282,19 @@ def test_parameters_that_held_out_rows_speak_against_are_not_kept() -> None:
     best = _predicting(record, test, which, fit, Search(fit, ()), np.random.default_rng(0))
     assert best.kept.bounds.keys() == {"runout"}  # it has none
     assert not best.rms.misfit.suspected
+
+
+def test_parameters_that_predict_no_better_stay_as_configured(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of noise, which held-out blocks of the fit itself have passed."""
+    monkeypatch.setattr(diagnosis, "kept_parameters", lambda fit, chosen: (fit, Kept({})))
+    for drive, held in ((CONFIGURED, GROUPS.keys()), (TRUE, set[str]())):
+        record = swinging(drive=drive)
+        test, which = held_out(record)
+        start = fit_parameters.vector(drive, CONFIGURED)
+        fit = settle(linearise(record, CONFIGURED, start, rows=~test), ())
+        best = _predicting(record, test, which, fit, Search(fit, ()), np.random.default_rng(0))
+        assert best.kept.bounds.keys() == held
+        assert abs(best.gain.fraction) < 1e-4 or not held
 
 
 def test_a_ball_whose_phase_wanders_is_no_misfit_though_nothing_foretells_it() -> None:

@@ -249,7 +249,7 @@ def _predicting(
     if found.chosen != lines and left > _WORSE * min(best.rms.refit, best.rms.nominal):
         found = Search(settle(plain, lines) if lines else plain, (), lines)
         best = tried(*kept_parameters(found.fit, lines), found)
-    if best.rms.extended > _WORSE * best.rms.nominal:
+    if best.gain.low <= 0.0:
         best = tried(*keeping(best.found.fit, best.found.chosen, GROUPS), found)
     found = with_table(best.found)
     if any(row.repeats for row in found.table):

@@ -104,8 +104,9 @@ def measured_noise(
     drawn = _nuggets(np.tensordot(draws, grams, 1), draws @ moments)
     low, high = (np.sqrt(unit * np.quantile(drawn, (0.025, 0.975))) * (1.0 - _OWN, 1.0 + _OWN)).tolist()
     rms = math.sqrt(unit * _nuggets(grams.sum(axis=0)[None], moments.sum(axis=0)[None])[0])
-    if high > _VAGUE * low:  # too few to lead them back
-        rms = high = math.sqrt(float(half.mean()))
+    if high > _VAGUE * low:  # too few to lead them back: half of them is the most that noise may be
+        most = max(math.sqrt(float(half.mean())), least)
+        return MeasuredNoise(max(low, least), (1.0 - _OWN) * max(low, least), most, False)
     low = max(min(low, rms), (1.0 - _OWN) * least)
     return MeasuredNoise(max(rms, least), low, max(high, rms, least), True)
 

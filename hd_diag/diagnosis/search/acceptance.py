@@ -100,10 +100,11 @@ def of_shapes(fit: LinearisedFit, chosen: Chosen, effect: Effect) -> float:
 def imitated(fit: LinearisedFit, chosen: Chosen, effect: Effect, nonlinear: tuple[float, ...]) -> float:
     """Size up to which an effect may only be the shape of what imitates it beside it [rad rms].
 
-    Over part of a turn, gravity on a soft cup is a runout but for some per cent: the torsion's own shape. The
-    encoders' zeros have no shape that could be wrong; another law of torsion by torque is a shape itself.
+    Over part of a turn, gravity on a soft cup is a runout but for some per cent: the torsion's own shape; and
+    two large effects may undo each other but for as much. The encoders' zeros have no shape that could be
+    wrong; another law of torsion by torque is a shape itself.
     """
-    if not smooth(effect) or effect.name == _TORSION:
+    if effect.name == _TORSION:
         return 0.0
     part = _part(fit, chosen, effect, nonlinear)
     return _SHAPE * float(np.std(part - projection(fit.data.offsets, part)))

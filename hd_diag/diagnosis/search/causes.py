@@ -33,6 +33,7 @@ CLASS_DEVIANCE = 10.0
 
 _DISAGREEING = 0.2  # of what one cause gains on another, in blocks where it loses
 _FAR = 0.1  # of a cause's gain, up to which another is distinguished from it without a fit of its own
+_NEARLY = 3  # rounds in which one that does nearly as well is brought to its best
 _PLAINLY = 0.1  # of a cause's gain, by which an unmodelled term beats it
 _CERTAIN = 100.0  # gain of such a cause
 _CLASSED = 0.63  # of the time that a diagnosis may take, by which the classes of all are known
@@ -145,12 +146,11 @@ def causes(
 
 
 def doubted(found: Search) -> Search:
-    """The same, with smooth causes doubtful that only mend a shape, or that an unmodelled term beats."""
+    """The same, with causes doubtful that only mend a shape, or smooth and beaten by an unmodelled term."""
     fit, chosen, judged = found.fit, found.chosen, []
     for index, cause in enumerate(found.causes):
-        doubtful = smooth(cause.effect) and (
-            only_corrects_shape(fit, chosen, index) or _beaten(fit, chosen, index)
-        )
+        doubtful = only_corrects_shape(fit, chosen, index)
+        doubtful = doubtful or (smooth(cause.effect) and _beaten(fit, chosen, index))
         judged.append(replace(cause, doubtful=doubtful))
     return replace(found, causes=tuple(judged))
 
@@ -280,10 +280,8 @@ def _alike(fit: LinearisedFit, chosen: Chosen, index: int, rivals: Collection[st
         trial = (*others, (candidate.effect, candidate.nonlinear))
         there, blind = without.corrected(trial), wanders(chosen) or wanders(trial)
         worse = _deviances(there, trial, blind) - _deviances(itself, again, blind)
-        if (
-            _separable(worse) and free(candidate.effect) and worse.sum() < far
-        ):  # it may do as well at its best
-            there, trial = polished(there, trial)
+        if _separable(worse) and worse.sum() < far and free(candidate.effect):
+            there, trial = polished(there, trial, _NEARLY)  # it may do as well at its best
             worse = _deviances(there, trial, blind) - _deviances(fit, chosen, blind)
         if not _separable(worse):
             found.append(candidate.effect.name)
