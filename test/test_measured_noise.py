@@ -93,9 +93,9 @@ def test_misfit_that_changes_at_once_leaves_covariances_that_noise_can_have() ->
     assert np.linalg.eigvalsh(toeplitz(found))[0] > 0.2
 
 
-@pytest.mark.parametrize(("off", "told"), [(0.0, True), (20.0, False)])
-def test_where_passes_disagree_the_noise_is_bounded_and_not_measured(off: float, told: bool) -> None:
-    """A second that is off, by misfit or slow noise: between neighbours' differences and all is possible."""
+@pytest.mark.parametrize(("off", "vague"), [(0.0, False), (20.0, True)])
+def test_where_passes_disagree_the_noise_is_vague(off: float, vague: bool) -> None:
+    """A second that is off, by misfit or slow noise: all from neighbours' differences to it may be noise."""
     rng, size = np.random.default_rng(0), 4000
     time, residual = np.arange(size) / 200.0, rng.standard_normal(size)
     residual[:200] += off
@@ -103,7 +103,6 @@ def test_where_passes_disagree_the_noise_is_bounded_and_not_measured(off: float,
     noise = measured_noise(
         residual, time, np.zeros(size, np.int64), Revisits(first, second, rng.random((3000, 3))), 0.0
     )
-    assert noise.repeated is told
-    assert 0.9 < noise.rms < (1.1 if told else 3.5)
-    assert noise.low < noise.rms < noise.high
-    assert noise.high < 1.3 or not told
+    assert noise.vague is vague
+    assert 0.8 < noise.low < (2.5 if vague else 1.0)
+    assert (noise.high > 4.0) is vague

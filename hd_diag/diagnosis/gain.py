@@ -189,10 +189,10 @@ def measured_gain(
         extended=_rms(extended),
         offline=_rms(of_fit(_residual_of(every, found.fit, found.chosen))),
         live=_rms(live[np.isfinite(live)]),
-        noise=noise.rms,
+        noise=noise.low if noise.vague else noise.rms,
         noise_low=noise.low,
         noise_high=most,
-        repeated=noise.repeated,
+        repeated=noise.repeated and not noise.vague,
         wandering=_rms(projection(wandering, extended)),
     )
     return rms, explained(nominal, extended, number, which, rng)

@@ -34,12 +34,16 @@ _MOST_STEPS = 1000.0  # between neighbours, for counts that can be recognised
 
 
 class MeasuredNoise(NamedTuple):
-    """Noise of a record [rad rms], and its 95 % interval; `repeated` if states were passed again."""
+    """Noise of a record [rad rms], and its 95 % interval; `repeated` if states were passed again.
+
+    It is `vague` where passes disagree too much to be extrapolated: then it may be all that differs.
+    """
 
     rms: float
     low: float
     high: float
     repeated: bool
+    vague: bool = False
 
 
 class Revisits(NamedTuple):
@@ -104,11 +108,11 @@ def measured_noise(
     drawn = _nuggets(np.tensordot(draws, grams, 1), draws @ moments)
     low, high = (np.sqrt(unit * np.quantile(drawn, (0.025, 0.975))) * (1.0 - _OWN, 1.0 + _OWN)).tolist()
     rms = math.sqrt(unit * _nuggets(grams.sum(axis=0)[None], moments.sum(axis=0)[None])[0])
-    if high > _VAGUE * low:  # too few to lead them back: half of them is the most that noise may be
-        most = max(math.sqrt(float(half.mean())), least)
-        return MeasuredNoise(max(low, least), (1.0 - _OWN) * max(low, least), most, False)
+    vague = bool(high > _VAGUE * low)
+    if vague:  # too few to lead them back
+        rms = high = math.sqrt(float(half.mean()))
     low = max(min(low, rms), (1.0 - _OWN) * least)
-    return MeasuredNoise(max(rms, least), low, max(high, rms, least), True)
+    return MeasuredNoise(max(rms, least), low, max(high, rms, least), True, vague)
 
 
 def measured_covariance(residual: Floats, run: Integers, passed: Revisits, noise: MeasuredNoise) -> Floats:
