@@ -200,9 +200,7 @@ def test_friction_of_one_direction_is_a_wrong_zero_of_the_torque() -> None:
     torque = 20.0 * np.sin(record.time)
     output = angle / RATIO + transmission_error(TRUE, angle, torque + 3.0)
     output += NOISE_OF_RECORD * np.random.default_rng(0).standard_normal(record.size)
-    forward = prepared(
-        {"time": record.time, "input": angle, "output": output, "torque": torque},
-    )
+    forward = prepared({"time": record.time, "input": angle, "output": output, "torque": torque})
     found = search(bench(record=forward), np.random.default_rng(0))
     (cause,) = found.causes
     assert {"torque_offset", "coulomb_windup"} <= set(cause.alike)

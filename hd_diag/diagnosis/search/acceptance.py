@@ -26,10 +26,10 @@ LEAST_SIZE = 0.25 * ARCSEC
 """A cause smaller than this beside the refitted model is of no practical size [rad rms]."""
 
 _SHAPE = 0.08  # of a smooth law's size, to which its shape is known
+_LATE = 0.002  # the same of a delay
 _SHAPES = 8  # other shapes of a smooth law that are tried at most
 _STAYING = 0.8  # share of an effect that these must leave of it, for it to be another cause
 _CYCLES = 3.0  # samples by which torque and angles may be out of step
-_LATE = 0.002  # the same of a delay
 _OWN = 0.1  # of what an effect brings, that it must bring beside parameters free of their bounds, too
 _CERTAIN_SIZE = 0.5 * ARCSEC  # of a shape that nothing held out can prove [rad rms]
 _SECONDS = 2.5  # of a mean in which quick noise is gone

@@ -61,10 +61,10 @@ def swapped(fit: LinearisedFit, chosen: Chosen, rivals: set[str]) -> tuple[Linea
             continue
         trial, there = (*others, (found[0].effect, found[0].nonlinear)), without
         if effect.size >= _FLEXIBLE and found[0].effect.name == effect.name:
-            few = rivals - {effect.name}
-            there, trial = _few_in_place_of_one(without, others, found[1:], few, least)
-        if trial != again and _priced(there.corrected(trial), trial) < least:
-            fit, there = _settled(fit, chosen), _settled(there.corrected(trial), trial)
+            there, trial = _few_in_place_of_one(without, others, found[1:], rivals - {effect.name}, least)
+        there = there.corrected(trial)
+        if trial != again and _priced(there, trial) < least:
+            fit, there = _settled(fit, chosen), _settled(there, trial)
             if _priced(there, trial) < _priced(fit, chosen) - CLASS_DEVIANCE:
                 fit, chosen = refined(there, trial)
     return fit, chosen
