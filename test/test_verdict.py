@@ -172,7 +172,8 @@ ALIKE = cause("output_runout", 2.5 * ARCSEC, ("output_encoder_eccentricity",))
         ),
         (
             diagnosis(refitted=refitted(eccentricity=0.4 + 0.0j)),
-            "; the eccentricity is as configured (0.0 µm); no other cause is needed.",
+            "; the eccentricity is as configured (0.0 µm), as far as this record tells: no more than "
+            "1.0 µm off; no other cause is needed.",
         ),
         (
             diagnosis(cause("hysteresis"), ALIKE),

@@ -250,7 +250,7 @@ def _predicting(
         found = Search(settle(plain, lines) if lines else plain, (), lines)
         best = tried(*kept_parameters(found.fit, lines), found)
     if best.gain.low <= 0.0:
-        best = tried(*keeping(best.found.fit, best.found.chosen, GROUPS), found)
+        best = tried(*keeping(found.fit, found.chosen, GROUPS), found)
     found = with_table(best.found)
     if any(row.repeats for row in found.table):
         rms, gain = measured_gain(record, test, which, plain, found, best.every, rng)

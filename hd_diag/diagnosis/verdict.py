@@ -11,7 +11,7 @@ from hd_diag.arrays import Floats
 from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.gain import Gain, Rms
-from hd_diag.diagnosis.judgement import Answer, Change, first_words
+from hd_diag.diagnosis.judgement import TWO_SIDED, Answer, Change, first_words
 from hd_diag.diagnosis.search.causes import Cause
 from hd_diag.diagnosis.search.order_table import OrderRow
 from hd_diag.diagnosis.search.selection import FURTHER_CAUSES
@@ -244,11 +244,10 @@ def _parameters(answer: Answer) -> str:
     if not diagnosis.refitted.trustworthy:
         return "the model's parameters are ambiguous: several sets fit about as well"
     if not changed:
-        configured = diagnosis.parameters["eccentricity.magnitude"]["configured"]
-        text = f"the eccentricity is as configured ({configured * 1e6:.1f} µm)"
-        most = diagnosis.kept.get("eccentricity")
-        if most is None:
-            return text
+        size = diagnosis.parameters["eccentricity.magnitude"]
+        text = f"the eccentricity is as configured ({size['configured'] * 1e6:.1f} µm)"
+        away = abs(size["value"] - size["configured"]) + TWO_SIDED * size["std"]
+        most = diagnosis.kept.get("eccentricity", away)
         if answer.judgement == "misfit":  # a bound stands on a model that describes the record
             return f"{text}, and how far off it may be cannot be determined"
         return f"{text}, as far as this record tells: no more than {most * 1e6:.1f} µm off"

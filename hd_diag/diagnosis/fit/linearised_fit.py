@@ -101,6 +101,16 @@ class LinearisedFit:
             misfit = float(np.std(left) / max(float(np.std(rest)), 1e-300))
         return replace(self, whiten=self.data.whitening_of(rest), misfit=misfit)
 
+    def with_all_noise(self, chosen: Chosen) -> LinearisedFit:
+        """Whitened by what the fit leaves, all of which is noise to it."""
+        fitted = projection(np.concatenate((self.always(), self.joined(chosen)), axis=1), self.residual)
+        return replace(self, whiten=self.data.whitening_of(self.residual - fitted), misfit=1.0)
+
+    def surprise(self, chosen: Chosen) -> float:
+        """Twice the negative logarithm of the likelihood of what the fit leaves, but for a constant."""
+        rows = np.count_nonzero(self.residual_white)
+        return float(rows * np.log(self.whiten.scale**2 * self.deviance(chosen) / rows))
+
     def flexible(self) -> Floats:
         """Columns by which any cause leaves hardly more than noise, (n, k)."""
         broadband = []

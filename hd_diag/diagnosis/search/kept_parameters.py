@@ -28,10 +28,9 @@ GROUPS: dict[str, tuple[int, ...]] = {
 
 DISPLACEMENTS = frozenset(("eccentricity", "runout"))
 
-_PLAIN = 400.0  # square of standard deviations beyond which no test is needed
+_PLAIN = 1600.0  # square of standard deviations beyond which no test is needed
 _NOISE = {"eccentricity": 16.0, "runout": 16.0}  # fall of the deviance that noise hardly ever brings
 _USUAL_NOISE = 6.0  # that of parameters of which a wrong value does no harm
-_PLAINLY = 8.0  # times that fall by the linear model, four times the true one at most: no fit is needed
 _PREDICTED = 0.5  # of that fall, in blocks held out
 _AGREEING = 0.5  # of the gain, that may be lost in some blocks
 _DATUMS = (-8.0, 0.0, 8.0)  # from the configured one, with which other minima are looked for
@@ -133,7 +132,7 @@ def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, 
                 best, held = trial, [*held, name]
     if "eccentricity" in held and "runout" in certain.keys() - set(held) and not _eccentric(fit):
         held = [*held, "runout"]
-        best, _ = _trial(best, chosen, held)
+        best = _trial(best, chosen, held)
     bounds = _bounds(fit, chosen, [*undetermined, *held])
     if bounds.keys() >= DISPLACEMENTS:  # beside none a runout is free to be anything
         bounds["runout"] = _bound(replace(best, held=()), chosen, "runout")
@@ -141,10 +140,10 @@ def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, 
 
 
 def keeping(fit: LinearisedFit, chosen: Chosen, names: Collection[str]) -> tuple[LinearisedFit, Kept]:
-    """Some groups held at their configured values; see :func:`kept_parameters`."""
+    """Some groups of a fit with nothing held at their configured values; see :func:`kept_parameters`."""
     if not names:
         return fit, Kept({})
-    trial, _ = _trial(fit, chosen, [*names])
+    trial = _trial(fit, chosen, [*names])
     return trial, Kept(_bounds(fit, chosen, [*names]))
 
 
@@ -207,18 +206,19 @@ def _certainty(away: Floats, spread: Floats, name: str) -> float:
 
 
 def _held(fit: LinearisedFit, chosen: Chosen, names: list[str]) -> LinearisedFit | None:
-    """The fit with groups held at their configured values; None if held-out blocks are predicted worse."""
+    """The fit with groups held at their configured values; None if held-out blocks are predicted worse.
+
+    Either has the noise of its own residual: what few seconds have of slow noise looks like an eccentricity,
+    and is noise to the one that holds it.
+    """
     noise = max(_NOISE.get(name, _USUAL_NOISE) for name in names)
-    start, numbers = _start(fit, names)
-    free = fit.design(chosen)
-    ways = (start - fit.parameters, start * MIRRORED - fit.parameters)
-    linear = free.holding(np.array(numbers), min(ways, key=lambda way: float(way @ way))[numbers])
-    fall, gain = linear.deviance() - free.deviance(), linear.held_out() - free.held_out()
-    if fall > _PLAINLY * noise and _confirmed(fall, gain):
-        return None
-    trial, gain = _trial(fit, chosen, names)
-    fall = trial.deviance(chosen) - free.deviance()
-    return None if fall > noise and _confirmed(fall, gain) else trial
+    trial, free = _trial(fit, chosen, names), fit.with_all_noise(chosen)
+    held = settle(trial.with_all_noise(chosen), chosen, rounds=2, learn=False).with_all_noise(chosen)
+    if held.surprise(chosen) - free.surprise(chosen) <= noise:
+        return trial
+    alike = replace(trial, whiten=free.whiten).design(chosen)
+    worse, gain = free.design(chosen), alike.held_out() - free.design(chosen).held_out()
+    return None if _confirmed(alike.deviance() - worse.deviance(), gain) else trial
 
 
 def _confirmed(fall: float, gain: Floats) -> bool:
@@ -237,12 +237,11 @@ def _start(fit: LinearisedFit, names: list[str]) -> tuple[Floats, list[int]]:
     return start, numbers
 
 
-def _trial(fit: LinearisedFit, chosen: Chosen, names: list[str]) -> tuple[LinearisedFit, Floats]:
-    """The fit with groups held, and what held-out blocks lose by it."""
+def _trial(fit: LinearisedFit, chosen: Chosen, names: list[str]) -> LinearisedFit:
+    """The fit with groups held."""
     start, held = _start(fit, names)
     there = replace(fit.moved(start), held=tuple(held)).beside(fit.present)
-    trial = settle(there, chosen, rounds=2, learn=False)
-    return trial, trial.design(chosen).held_out() - fit.design(chosen).held_out()
+    return settle(there, chosen, rounds=2, learn=False)
 
 
 def _bounds(fit: LinearisedFit, chosen: Chosen, names: list[str]) -> dict[str, float]:
