@@ -269,7 +269,7 @@ def test_parameters_that_held_out_rows_speak_against_are_not_kept() -> None:
     """What little the fitted rows say of a cup, under little torque, others under more torque bear out."""
     record = swinging(60.0)
     test, which = held_out(record)
-    load = np.where(test, 20.0, 0.5) * np.sin(2.0 * np.pi * record.time / 1.7)
+    load = np.where(test, 20.0, 0.7) * np.sin(2.0 * np.pi * record.time / 1.7)
     soft = dataclasses.replace(TRUE, cup_compliance=TRUE.cup_compliance + 0.3 * ARCSEC)
     error = transmission_error(soft, record.input_angle, load)
     noise = NOISE_OF_RECORD * np.random.default_rng(0).standard_normal(record.size)

@@ -132,10 +132,14 @@ class FittedRows:
         """Fitted rows at which the drive is in the same state; none are known where no torque is measured."""
         return revisits(self._motion) if self.record.has_torque else NEVER
 
+    @cached_property
+    def counted(self) -> float:
+        """Rms of the rounding of both encoders to their counts [rad]."""
+        return of_counts(self.record, self.configured.kinematics.ratio)
+
     def noise_of(self, residual: Floats) -> MeasuredNoise:
         """Noise of a residual of the fitted rows [rad], shape (n,), whatever misfit is in it."""
-        counted = of_counts(self.record, self.configured.kinematics.ratio)
-        return measured_noise(residual, self.record.time, self.run, self.revisits, counted)
+        return measured_noise(residual, self.record.time, self.run, self.revisits, self.counted)
 
     def whitening_of(self, residual: Floats) -> Whitening:
         """Noise model from a residual of the fitted rows, which may be more than noise."""

@@ -91,25 +91,15 @@ class LinearisedFit:
         """What is given of the present effects."""
         return tuple(one for one in self.present if one[0][0].given)
 
-    def with_noise(self, chosen: Chosen) -> LinearisedFit:
-        """Whitened by the residual of a model rich enough to leave only noise."""
-        parts = (self.always(), self.joined(chosen), self.flexible())
-        rest = self.residual - projection(np.concatenate(parts, axis=1), self.residual)
-        misfit = 1.0
-        if self.data.given:
-            left = self.residual - projection(np.concatenate(parts[:2], axis=1), self.residual)
-            misfit = float(np.std(left) / max(float(np.std(rest)), 1e-300))
+    def with_noise(self, chosen: Chosen, richer: bool = True) -> LinearisedFit:
+        """Whitened by the residual of a model rich enough to leave only noise, or by all that this leaves."""
+        fixed = np.concatenate((self.always(), self.joined(chosen)), axis=1)
+        left = self.residual - projection(fixed, self.residual)
+        if not richer:
+            return replace(self, whiten=self.data.whitening_of(left), misfit=1.0)
+        rest = self.residual - projection(np.concatenate((fixed, self.flexible()), axis=1), self.residual)
+        misfit = float(np.std(left) / max(float(np.std(rest)), 1e-300)) if self.data.given else 1.0
         return replace(self, whiten=self.data.whitening_of(rest), misfit=misfit)
-
-    def with_all_noise(self, chosen: Chosen) -> LinearisedFit:
-        """Whitened by what the fit leaves, all of which is noise to it."""
-        fitted = projection(np.concatenate((self.always(), self.joined(chosen)), axis=1), self.residual)
-        return replace(self, whiten=self.data.whitening_of(self.residual - fitted), misfit=1.0)
-
-    def surprise(self, chosen: Chosen) -> float:
-        """Twice the negative logarithm of the likelihood of what the fit leaves, but for a constant."""
-        rows = np.count_nonzero(self.residual_white)
-        return float(rows * np.log(self.whiten.scale**2 * self.deviance(chosen) / rows))
 
     def flexible(self) -> Floats:
         """Columns by which any cause leaves hardly more than noise, (n, k)."""

@@ -113,6 +113,7 @@ def refit(
     start: Floats | None = None,
     starts: Starts = STARTS,
     motor: Motor | None = None,
+    held: tuple[int, ...] = (),
 ) -> Refit:
     """Fit the model's parameters from many starts, a wrong zero of the torque beside them.
 
@@ -132,6 +133,8 @@ def refit(
         Eccentricities to begin with: magnitude [um], direction [pi rad].
     motor : Motor, optional
         What is fitted of the torque itself.
+    held : tuple of int
+        Numbers of the parameters that stay as configured.
 
     Returns
     -------
@@ -146,11 +149,11 @@ def refit(
     rows = np.flatnonzero(usable(record))
     for samples, steps, kept in _ROUNDS:
         some = np.sort(rng.choice(rows, min(samples, rows.size), replace=False))
-        problem = _Problem(record, configured, free, some, noise, motor)
+        problem = _Problem(record, configured, free, some, noise, motor, held)
         trials = sorted((_levenberg(problem, point, steps) for point in points), key=lambda trial: trial[1])
         hopeful = [point for point, value in trials if value < _HOPELESS * trials[0][1]]
         points = distinct(hopeful)[:kept]
-        noise = max(problem.residual_rms(points[0]), _LEAST_NOISE)
+        noise = max(float(np.sqrt(np.mean(problem.residual_and_jacobian(points[0])[0] ** 2))), _LEAST_NOISE)
         if start is not None and not distinct([start, *points])[1:]:
             break
     covariance = problem.covariance(trials[0][0])
@@ -238,6 +241,7 @@ class _Problem:
         rows: npt.NDArray[np.int64],
         noise: float,
         motor: Motor | None,
+        held: tuple[int, ...],
     ) -> None:
         self.configured = configured
         self.motor = None if motor is None else motor._replace(torque=motor.torque[rows])
@@ -246,8 +250,8 @@ class _Problem:
         self.measured = record.output_angle[rows] - self.input_angle / configured.kinematics.ratio
         self.free = np.linalg.qr(free[rows])[0]
         center, width = fit_parameters.prior(configured)
-        if record.by_current:
-            width[COMPLIANCE] = _HELD
+        fixed = [*held, *([COMPLIANCE] if record.by_current else [])]
+        center[fixed], width[fixed] = fit_parameters.vector(configured, configured)[fixed], _HELD
         self.center = np.concatenate((center, [0.0], np.zeros(own.size)))
         self.width = np.concatenate((width, [1.0 if record.has_torque else _HELD], own))
         self.offset = _OFFSET * configured.rated_torque
@@ -284,11 +288,6 @@ class _Problem:
     def deviance(self, residual: Floats, point: Floats) -> float:
         away = (point - self.center) / self.width
         return float(residual @ residual) / self.noise**2 + float(np.sum(away**2))
-
-    def residual_rms(self, point: Floats) -> float:
-        """At a point [rad]."""
-        residual, _ = self.residual_and_jacobian(point)
-        return float(np.sqrt(np.mean(residual**2)))
 
     def covariance(self, point: Floats) -> Floats:
         residual, jacobian = self.residual_and_jacobian(point)

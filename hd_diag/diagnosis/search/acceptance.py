@@ -30,6 +30,7 @@ _LATE = 0.002  # the same of a delay
 _SHAPES = 8  # other shapes of a smooth law that are tried at most
 _STAYING = 0.8  # share of an effect that these must leave of it, for it to be another cause
 _CYCLES = 3.0  # samples by which torque and angles may be out of step
+_ROUNDED = 0.3  # of the rounding to counts, that may look like a cause
 _OWN = 0.1  # of what an effect brings, that it must bring beside parameters free of their bounds, too
 _CERTAIN_SIZE = 0.5 * ARCSEC  # of a shape that nothing held out can prove [rad rms]
 _SECONDS = 2.5  # of a mean in which quick noise is gone
@@ -119,12 +120,17 @@ def smooth(effect: Effect) -> bool:
 
 
 def least_size(fit: LinearisedFit, effect: Effect) -> float:
-    """Size that an effect has to have in the end [rad rms]: torsion by a late torque is a small loop, too."""
+    """Size that an effect has to have in the end [rad rms].
+
+    Rounding to counts is no noise where an encoder hardly moves, or at a speed that comes back: it looks like
+    a delay, or a line of some order. Torsion by a late torque is a small loop, too.
+    """
+    least = max(LEAST_SIZE, _ROUNDED * fit.data.counted)
     if effect.name != "hysteresis":
-        return LEAST_SIZE
+        return least
     whole = fit.whole
     loop = (whole.predicted_torque_slope * fit.data.model.rate(whole.torque))[fit.data.at]
-    return max(LEAST_SIZE, _CYCLES * float(np.median(np.diff(whole.time)) * np.std(loop)))
+    return max(least, _CYCLES * float(np.median(np.diff(whole.time)) * np.std(loop)))
 
 
 def needed(fit: LinearisedFit, chosen: Chosen) -> Chosen:

@@ -17,6 +17,7 @@ _FLEXIBLE = 8  # coefficients from which a shape may imitate two causes
 _TRIED = 3  # best causes of few coefficients, that are tried settled in its place
 _FIRST_MOVE = 0.5  # of a grid step, by which a refinement begins
 _TO_THE_END = 8  # rounds
+_AS_WELL, _HALVINGS = 3.84, 8  # deviance within which 95 % of true values lie; of the way to a usual one
 _REFINED = 0.55  # of the time that a diagnosis may take, by which it must end
 
 
@@ -112,7 +113,29 @@ def _finished(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen
         again = _best_neighbours(fit, again, index)
     if again != chosen:
         fit, chosen = polished(settle(fit.corrected(again), again, learn=False), again)
+    drawn = _drawn_back(fit, chosen)
+    if drawn != chosen:
+        fit, chosen = settle(fit.corrected(drawn), drawn, learn=False), drawn
     return _without_idle(fit, chosen)
+
+
+def _drawn_back(fit: LinearisedFit, chosen: Chosen) -> Chosen:
+    """Values at their upper limit drawn back to what is usual, as far as they do as well: nothing tells them.
+
+    Of a lag at its limit the fit knows that it is long; what it foretells would be no better than a guess.
+    """
+    for index, (effect, _) in enumerate(chosen):
+        for number in free(effect):
+            quantity, most = effect.nonlinear[number], deviance_of(fit, chosen) + _AS_WELL
+            values = list(chosen[index][1])
+            at_limit = values[number] >= quantity.high
+            for _ in range(_HALVINGS if at_limit else 0):
+                values[number] = 0.5 * (values[number] + quantity.prior_scale)
+                trial = (*chosen[:index], (effect, tuple(values)), *chosen[index + 1 :])
+                if deviance_of(fit, trial) > most:
+                    break
+                chosen = trial
+    return chosen
 
 
 def _best_neighbours(fit: LinearisedFit, chosen: Chosen, index: int) -> Chosen:

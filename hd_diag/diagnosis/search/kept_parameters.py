@@ -212,13 +212,19 @@ def _held(fit: LinearisedFit, chosen: Chosen, names: list[str]) -> LinearisedFit
     and is noise to the one that holds it.
     """
     noise = max(_NOISE.get(name, _USUAL_NOISE) for name in names)
-    trial, free = _trial(fit, chosen, names), fit.with_all_noise(chosen)
-    held = settle(trial.with_all_noise(chosen), chosen, rounds=2, learn=False).with_all_noise(chosen)
-    if held.surprise(chosen) - free.surprise(chosen) <= noise:
+    trial, free = _trial(fit, chosen, names), fit.with_noise(chosen, richer=False)
+    held = settle(trial.with_noise(chosen, richer=False), chosen, rounds=2, learn=False)
+    if _surprise(held.with_noise(chosen, richer=False), chosen) - _surprise(free, chosen) <= noise:
         return trial
-    alike = replace(trial, whiten=free.whiten).design(chosen)
-    worse, gain = free.design(chosen), alike.held_out() - free.design(chosen).held_out()
-    return None if _confirmed(alike.deviance() - worse.deviance(), gain) else trial
+    with_, without = free.design(chosen), replace(trial, whiten=free.whiten).design(chosen)
+    fall, gain = without.deviance() - with_.deviance(), without.held_out() - with_.held_out()
+    return None if _confirmed(fall, gain) else trial
+
+
+def _surprise(fit: LinearisedFit, chosen: Chosen) -> float:
+    """Twice the negative logarithm of the likelihood of what a fit leaves, but for a constant."""
+    rows = np.count_nonzero(fit.residual_white)
+    return float(rows * np.log(fit.whiten.scale**2 * fit.deviance(chosen) / rows))
 
 
 def _confirmed(fall: float, gain: Floats) -> bool:

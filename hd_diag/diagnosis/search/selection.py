@@ -324,7 +324,7 @@ def _restarted(fit: LinearisedFit, chosen: Chosen, rng: np.random.Generator) -> 
 
 
 def is_only_minimum(fit: LinearisedFit, chosen: Chosen, rng: np.random.Generator) -> bool:
-    """Whether no other minimum fits about as well beside the chosen effects, which take part freely."""
+    """Whether no other minimum of what is not held fits as well; the chosen effects take part freely."""
     return _refitted(fit, chosen, rng).trustworthy
 
 
@@ -336,4 +336,4 @@ def _refitted(fit: LinearisedFit, chosen: Chosen, rng: np.random.Generator) -> R
     own, extra = fit.data, fit.joined(chosen)
     more = fit.effects.torque(fit.sized(chosen, fit.fit(chosen)[0]))[own.at]
     record = replace(own.record, torque=own.record.torque + more)
-    return refit(record, own.configured, rng, extra=extra, start=fit.parameters, starts=FEW_STARTS)
+    return refit(record, own.configured, rng, extra, fit.parameters, FEW_STARTS, held=fit.held)
