@@ -242,6 +242,15 @@ def test_another_law_of_torsion_is_no_shape_of_it(made: LinearisedFit) -> None:
     assert imitated(made, (), hardening, (14.0, 48.0, 0.01)) == 0.0
 
 
+def test_what_counts_of_an_encoder_may_look_like_is_no_cause(plain: LinearisedFit) -> None:
+    record, step = plain.data.record, 6.0 * ARCSEC
+    counted = dataclasses.replace(record, output_angle=step * np.round(record.output_angle / step))
+    coarse = linearise(counted, CONFIGURED, POINT)
+    delay = EFFECTS["stream_delay"]
+    assert least_size(coarse, delay) == pytest.approx(0.3 * step / np.sqrt(12.0), rel=0.01)
+    assert least_size(plain, delay) == LEAST_SIZE
+
+
 def test_a_loop_has_to_be_more_than_torsion_whose_torque_is_a_little_late(made: LinearisedFit) -> None:
     """It may come to the fit all the same: another cause may then show beside it, and take its place."""
     loop, whole = EFFECTS["hysteresis"], made.whole

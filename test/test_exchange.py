@@ -1,8 +1,10 @@
 """Chosen causes exchanged for better ones."""
 
+import dataclasses
+
 import numpy as np
 import pytest
-from benches import EFFECTS, POINT, bench, of
+from benches import EFFECTS, POINT, bench, of, swinging
 from joint_records import ARCSEC, NOISE
 
 from hd_diag.diagnosis.fit.joint_refinement import settle
@@ -63,3 +65,15 @@ def test_a_cause_is_dropped_that_the_parameters_replace_once_they_have_moved() -
     fit, left = finished_in_time(there, chosen)
     assert [effect.name for effect, _ in left] == ["output_runout"]
     assert np.abs(fit.parameters - POINT)[:2] == pytest.approx(0.0, abs=0.5)
+
+
+def test_a_lag_that_nothing_tells_is_not_left_at_its_limit() -> None:
+    """In twenty seconds of warming all long lags look alike; what would come next does not."""
+    drift, record = EFFECTS["thermal_drift"], swinging()
+    warming = dataclasses.replace(record, temperature=25.0 + 5.0 * (1.0 - np.exp(-record.time / 10.0)))
+    fit = bench(of(drift, drift=200.0 * ARCSEC, lag=200.0), record=warming)
+    chosen = ((drift, (3600.0,)),)
+    longest = settle(fit, chosen)
+    found, ((_, (lag,)),) = finished_in_time(longest, chosen)
+    assert 40.0 < lag < 1000.0
+    assert deviance_of(found, ((drift, (lag,)),)) < deviance_of(longest, chosen) + 4.0
