@@ -71,7 +71,7 @@ def test_a_lag_that_nothing_tells_is_not_left_at_its_limit() -> None:
     """In twenty seconds of warming all long lags look alike; what would come next does not."""
     drift, record = EFFECTS["thermal_drift"], swinging()
     warming = dataclasses.replace(record, temperature=25.0 + 5.0 * (1.0 - np.exp(-record.time / 10.0)))
-    fit = bench(of(drift, drift=200.0 * ARCSEC, lag=200.0), record=warming)
+    fit = bench(of(drift, drift=200.0 * ARCSEC, lag=3000.0), record=warming)
     chosen = ((drift, (3600.0,)),)
     longest = settle(fit, chosen)
     found, ((_, (lag,)),) = finished_in_time(longest, chosen)

@@ -125,12 +125,13 @@ def least_size(fit: LinearisedFit, effect: Effect) -> float:
     Rounding to counts is no noise where an encoder hardly moves, or at a speed that comes back: it looks like
     a delay, or a line of some order. Torsion by a late torque is a small loop, too.
     """
-    least = max(LEAST_SIZE, _ROUNDED * fit.data.counted)
+    if effect.stage == Stage.STREAM or effect.of_any_order:
+        return max(LEAST_SIZE, _ROUNDED * fit.data.counted)
     if effect.name != "hysteresis":
-        return least
+        return LEAST_SIZE
     whole = fit.whole
     loop = (whole.predicted_torque_slope * fit.data.model.rate(whole.torque))[fit.data.at]
-    return max(least, _CYCLES * float(np.median(np.diff(whole.time)) * np.std(loop)))
+    return max(LEAST_SIZE, _CYCLES * float(np.median(np.diff(whole.time)) * np.std(loop)))
 
 
 def needed(fit: LinearisedFit, chosen: Chosen) -> Chosen:

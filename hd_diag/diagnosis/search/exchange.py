@@ -120,17 +120,16 @@ def _finished(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen
 
 
 def _drawn_back(fit: LinearisedFit, chosen: Chosen) -> Chosen:
-    """Values at their upper limit drawn back to what is usual, as far as they do as well: nothing tells them.
+    """Values above the usual ones halfway to these, and again, while they do as well: nothing tells them.
 
-    Of a lag at its limit the fit knows that it is long; what it foretells would be no better than a guess.
+    Of a lag the fit may know that it is long; what an endless one foretells is a guess.
     """
+    most = deviance_of(fit, chosen) + _AS_WELL
     for index, (effect, _) in enumerate(chosen):
         for number in free(effect):
-            quantity, most = effect.nonlinear[number], deviance_of(fit, chosen) + _AS_WELL
-            values = list(chosen[index][1])
-            at_limit = values[number] >= quantity.high
-            for _ in range(_HALVINGS if at_limit else 0):
-                values[number] = 0.5 * (values[number] + quantity.prior_scale)
+            usual, values = effect.nonlinear[number].prior_scale, list(chosen[index][1])
+            for _ in range(_HALVINGS if values[number] > usual else 0):
+                values[number] = 0.5 * (values[number] + usual)
                 trial = (*chosen[:index], (effect, tuple(values)), *chosen[index + 1 :])
                 if deviance_of(fit, trial) > most:
                     break
