@@ -20,7 +20,7 @@ from hd_diag.diagnosis.fit.refit import Refit, refit
 from hd_diag.diagnosis.gain import MISFIT, Rms, held_out
 from hd_diag.diagnosis.search.causes import Search, causes, doubted, motor_deviations, parameters_of
 from hd_diag.diagnosis.search.kept_parameters import GROUPS, Kept, kept_parameters
-from hd_diag.diagnosis.search.ranking import candidates, family_size
+from hd_diag.diagnosis.search.ranking import candidates, family_size, ranked
 from hd_diag.diagnosis.search.selection import (
     _next,
     _plainly_better,
@@ -113,6 +113,22 @@ def test_a_line_beside_the_gear_s_own_order_is_no_ripple_of_a_torque() -> None:
     found = search(bench(wave(99.0), wave(45.0)), np.random.default_rng(0))
     assert found.causes == ()
     assert {item[1] for item in found.unmodelled} >= {(45.0,)}
+
+
+def test_a_cause_is_settled_before_a_term_is_put_in_its_place() -> None:
+    """Beside no eccentricity a runout follows the torque's wrong zero far away, and hides most of it."""
+    record, offset = swinging(40.0, drive=CONFIGURED), 1.3
+    reported = record.torque + offset
+    shifted = dataclasses.replace(record, torque=reported, reported_torque=reported)
+    away = np.array([0.1, 0.1, -19.0, -2.0, -2.0, 1.0, 0.0])
+    there = fit_parameters.vector(CONFIGURED, CONFIGURED) + away
+    fit = settle(linearise(shifted, CONFIGURED, there), (), rounds=8)
+    best, terms = candidates(fit, ()), ranked(fit, (), UNMODELLED_TERMS)
+    assert (best[0].effect.name, terms[0].effect.name) == ("torque_offset", "even_torque")
+    assert terms[0].surprise > 1.5 * best[0].surprise
+    found = _next(fit, (), family_size(fit), best, ())
+    assert found is not None
+    assert found.effect.name == "torque_offset"
 
 
 @pytest.mark.parametrize(("settles", "expected"), [(10.0, False), (0.2, True)])

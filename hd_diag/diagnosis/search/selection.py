@@ -158,7 +158,9 @@ def _next(
     terms = ranked(fit, chosen, [term for term in _unmodelled(chosen) if term.name not in refused])[:2]
     likely = [one for one in best[:1] if by_chance(one, family) <= FAMILY_ERROR]
     leading = [one for one in terms[:1] if isinstance(one.effect, UnmodelledTerm) and one.effect.predictive]
-    ahead = bool(best and leading) and leading[0].surprise > best[0].surprise + _margin(leading[0], best[0])
+    if ahead := bool(best and leading):  # of a cause that is not settled the gain says little
+        most = leading[0].surprise - _margin(leading[0], best[0])
+        ahead = best[0].surprise < most and _when_settled(fit, chosen, best[0], fit)[0] < most
     return (
         (passing(fit, chosen, leading, family) if ahead else None)
         or passing(fit, chosen, best[:3], family)
@@ -170,6 +172,16 @@ def _next(
         )
         or passing(fit, chosen, terms, family)
     )
+
+
+def _when_settled(
+    fit: LinearisedFit, chosen: Chosen, one: Candidate, start: LinearisedFit, rounds: int = _ALONG_A_VALLEY
+) -> tuple[float, LinearisedFit]:
+    """Surprise of a candidate once all is settled beside it, from another fit on, and where that ends."""
+    trial = (*chosen, (one.effect, one.nonlinear))
+    there = settle(start.corrected(trial), trial, rounds, learn=False)
+    share = (fit.deviance(chosen) - one.gain) / deviance_of(there, trial)
+    return one.surprise + 0.5 * int(np.count_nonzero(fit.residual_white)) * (share - 1.0), there
 
 
 def _plainly_better(before: tuple[LinearisedFit, Chosen], fit: LinearisedFit, fewer: Chosen) -> bool:
@@ -218,17 +230,14 @@ def _ranked_when_settled(
         return as_much and (far or misled or one is best[0] or _moves_parameters(fit, chosen, one))
 
     close = [one for one in plain if one in hidden or competing(one)]
-    close = close if misled or close[1:] else []
+    close, rounds = close if misled or close[1:] else [], 2 if far or misled else _ALONG_A_VALLEY
 
     def settled(candidate: Candidate) -> tuple[float, LinearisedFit]:
         trial = (*chosen, (candidate.effect, candidate.nonlinear))
         again = _refitted(fit, trial, rng).parameters if misled else fit.parameters
         other = fit.moved(again) if distinct([fit.parameters, again])[1:] else fit
-        rounds = 2 if far or misled else _ALONG_A_VALLEY
-        there = settle(other.corrected(trial), trial, rounds, learn=False)
-        left = deviance_of(there, trial)
-        more = 0.5 * rows * ((before - candidate.gain) / left - 1.0)
-        return candidate.surprise + more, there if candidate in hidden else other
+        surprising, there = _when_settled(fit, chosen, candidate, other, rounds)
+        return surprising, there if candidate in hidden else other
 
     trials = [(*settled(one), one) if one in close else (one.surprise, fit, one) for one in best]
     trials.sort(key=lambda trial: -trial[0])
