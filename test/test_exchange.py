@@ -9,6 +9,7 @@ from joint_records import ARCSEC, NOISE
 
 from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.search.exchange import deviance_of, finished_in_time, refined, swapped
+from hd_diag.effects.signals import Signals
 
 
 def test_a_shape_of_many_coefficients_gives_way_to_the_two_causes_that_it_imitates() -> None:
@@ -77,3 +78,17 @@ def test_a_lag_that_nothing_tells_is_not_left_at_its_limit() -> None:
     found, ((_, (lag,)),) = finished_in_time(longest, chosen)
     assert 40.0 < lag < 1000.0
     assert deviance_of(found, ((drift, (lag,)),)) < deviance_of(longest, chosen) + 4.0
+
+
+def test_a_wave_that_wanders_gives_way_to_two_lines_that_beat() -> None:
+    """Their sum swells and fades as a cage's wave might; two lines of whole numbers need less."""
+    ball = EFFECTS["bearing_passage"]
+
+    def beats(signals: Signals) -> np.ndarray:
+        return 3.0 * ARCSEC * sum(np.cos(order * signals.output_angle - 1.0) for order in (47.0, 49.0))
+
+    chosen = ((ball, (0.48, 1.0)),)
+    fit = settle(bench(beats), chosen)
+    found, lines = swapped(fit, chosen, {ball.name})
+    assert sorted(nonlinear for _, nonlinear in lines) == [(47.0,), (49.0,)]
+    assert deviance_of(found, lines) < deviance_of(fit, chosen) + 10.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.optimize import minimize
 
@@ -9,8 +11,8 @@ from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit.joint_refinement import free, polished, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.search.causes import CLASS_DEVIANCE, left_out
-from hd_diag.diagnosis.search.ranking import Candidate, Projector, by_name, ranked
-from hd_diag.diagnosis.search.unmodelled_terms import UnmodelledTerm
+from hd_diag.diagnosis.search.ranking import Projector, by_name, ranked
+from hd_diag.diagnosis.search.unmodelled_terms import OUTPUT_LINES, OutputLine, UnmodelledTerm
 from hd_diag.effects.effect import Effect, Stage
 
 _FLEXIBLE = 8  # coefficients from which a shape may imitate two causes
@@ -44,8 +46,8 @@ def on_certain_rows(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, 
 def swapped(fit: LinearisedFit, chosen: Chosen, rivals: set[str]) -> tuple[LinearisedFit, Chosen]:
     """Exchange chosen effects for better ones, or for themselves at a better grid point.
 
-    A shape of many coefficients is exchanged for one or two causes of few as well: greedily chosen, it takes
-    their place.
+    A shape of many coefficients is exchanged for one or two causes of few as well, a wave that wanders for
+    lines of the output's turn, too: greedily chosen, it takes their place.
     """
     for index, (effect, _) in enumerate(chosen[:-1]):
         if effect.stage > Stage.GEAR:
@@ -61,8 +63,9 @@ def swapped(fit: LinearisedFit, chosen: Chosen, rivals: set[str]) -> tuple[Linea
         if not found:
             continue
         trial, there = (*others, (found[0].effect, found[0].nonlinear)), without
-        if effect.size >= _FLEXIBLE and found[0].effect.name == effect.name:
-            there, trial = _few_in_place_of_one(without, others, found[1:], rivals - {effect.name}, least)
+        if _coefficients(fit, (chosen[index],)) >= _FLEXIBLE and found[0].effect.name == effect.name:
+            lines = OUTPUT_LINES if effect.wanders(nonlinear) else ()
+            there, trial = _few_in_place_of_one(without, others, rivals - {effect.name}, lines, least)
         there = there.corrected(trial)
         if trial != again and _priced(there, trial) < least:
             fit, there = _settled(fit, chosen), _settled(there, trial)
@@ -78,23 +81,30 @@ def _settled(fit: LinearisedFit, chosen: Chosen) -> LinearisedFit:
 
 def _priced(fit: LinearisedFit, chosen: Chosen) -> float:
     """Deviance with Akaike's price of the coefficients: of what explains as much, less is more."""
-    return fit.deviance(chosen) + 2.0 * sum(effect.size for effect, _ in chosen)
+    return fit.deviance(chosen) + 2.0 * _coefficients(fit, chosen)
+
+
+def _coefficients(fit: LinearisedFit, chosen: Chosen) -> int:
+    """Number of those of some effects, of their wandering as well."""
+    return sum(fit.columns(*item).shape[1] for item in chosen)
 
 
 def _few_in_place_of_one(
-    fit: LinearisedFit, others: Chosen, found: list[Candidate], rivals: set[str], least: float
+    fit: LinearisedFit, others: Chosen, rivals: set[str], lines: Sequence[OutputLine], least: float
 ) -> tuple[LinearisedFit, Chosen]:
     """The fit beside the best cause, or the best two, in place of a shape that may imitate both."""
     for _ in range(2):
-        few = [one for one in found if one.effect.size < _FLEXIBLE][:_TRIED]
-        trials = [(*others, (one.effect, one.nonlinear)) for one in few]
-        if not trials:
+        used = {effect.name for effect, _ in others}
+        more = [line for line in lines if line.name not in used][:1]
+        found = ranked(fit, others, [*by_name(fit, rivals), *more])
+        trials = [(*others, (one.effect, one.nonlinear)) for one in found]
+        few = [trial for trial in trials if _coefficients(fit, trial[-1:]) < _FLEXIBLE][:_TRIED]
+        if not few:
             break
-        settled = [(_settled(fit.corrected(trial), trial), trial) for trial in trials]
+        settled = [(_settled(fit.corrected(trial), trial), trial) for trial in few]
         fit, others = min(settled, key=lambda one: _priced(*one))
         if _priced(fit, others) < least:
             break
-        found = ranked(fit, others, by_name(fit, rivals))
     return fit, others
 
 
