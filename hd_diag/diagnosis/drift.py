@@ -11,6 +11,7 @@ from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.record import Record, RecordError
 from hd_diag.diagnosis.ripple.ripple import ripple
 from hd_diag.diagnosis.smoothing import smooth
+from hd_diag.diagnosis.stamps import usual_step
 from hd_diag.model.transmission_error import Kinematics
 
 _KNOTS = 5.0  # between which a drift goes straight [s]
@@ -59,7 +60,7 @@ def check_velocity(record: Record, kinematics: Kinematics) -> Finding | None:
     if not record.by_velocity:
         return None
     record = record.select(np.arange(min(record.size, _MOST_ROWS)))
-    step = float(np.median(np.diff(record.time)))
+    step = usual_step(record.time)
     lags = np.unique(np.rint(np.geomspace(1.0, max(_MEMORY / step, 2.0), _TAPS)).astype(np.int64))
     inner = np.zeros(record.size, bool)
     for begin, end in bounds(record.stretch):

@@ -21,6 +21,7 @@ from hd_diag.diagnosis.search.causes import Search
 from hd_diag.diagnosis.search.order_table import part
 from hd_diag.diagnosis.search.remainder import Remainder
 from hd_diag.diagnosis.search.unmodelled_terms import UnmodelledTerm
+from hd_diag.diagnosis.stamps import usual_step
 from hd_diag.drive import Drive
 
 Rows = npt.NDArray[np.bool_]
@@ -136,8 +137,7 @@ def _every_fourth(number: Integers, count: int) -> Rows:
 
 def renumbered(record: Record) -> Record:
     """Run numbers from zero, with a new run wherever rows are missing."""
-    step = float(np.median(np.diff(record.time)))
-    change = (np.diff(record.run) != 0) | (np.diff(record.time) > 20.0 * step)
+    change = (np.diff(record.run) != 0) | (np.diff(record.time) > 20.0 * usual_step(record.time))
     return replace(record, run=numbered(change))
 
 

@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.noise import ORDER, slices
 from hd_diag.diagnosis.record import Record
+from hd_diag.diagnosis.stamps import usual_step
 from hd_diag.effects.signals import Signals
 
 _QUERIES, _KNOWN, _NEIGHBOURS = 6000, 24_000, 24  # moments looked from, and to, and how many nearest
@@ -141,7 +142,7 @@ def _states(signals: Signals) -> tuple[Floats, Integers]:
     load, speed = signals.torque, signals.forward_speed
     span = max(float(np.ptp(load)), 0.02 * signals.rated_torque)
     fast = max(float(np.percentile(np.abs(speed), 99)), 1e-9)
-    lag = max(round(_LAG / float(np.median(np.diff(signals.time)))), 1)
+    lag = max(round(_LAG / usual_step(signals.time)), 1)
     before = np.concatenate((np.full(min(lag, load.size), load[0]), load[:-lag]))
     coordinates = (
         (0, np.cos(signals.wave_generator_angle) / 0.15),

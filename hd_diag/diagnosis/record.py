@@ -12,7 +12,7 @@ from hd_diag.diagnosis.blocks import unwrapped
 from hd_diag.diagnosis.noise import bounds, numbered, spans
 from hd_diag.diagnosis.outliers import Rows, outliers, torque_outliers
 from hd_diag.diagnosis.smoothing import best_widths, deviation, rate, settled, smooth
-from hd_diag.diagnosis.stamps import UNTOLD, Stamps, by_clock
+from hd_diag.diagnosis.stamps import UNTOLD, Stamps, by_clock, usual_step
 
 # Columns of one length by name; None for those that were not recorded.
 Columns = dict[str, Any]
@@ -125,8 +125,8 @@ class Record:
         """Standard deviation of the torque by its noise [N m], shape (n,); a constant one has none."""
         if np.ptp(self.by_sensor) == 0.0 or not self.torque_window.any():
             return np.zeros(self.size)
-        step = float(np.median(np.diff(self.time)))
-        return deviation(self.reported_torque, self.by_sensor, step, self.torque_window)
+        step, width = usual_step(self.time), self.torque_window
+        return deviation(self.reported_torque, self.by_sensor, step, width)
 
     def select(self, rows: Rows | Integers) -> Record:
         """The record of some rows; their run numbers stay."""
@@ -207,7 +207,7 @@ def prepare(
     columns |= {"input_angle": angle, "output_angle": output, "segment": segment}
     columns = _kept(columns, keep)
     time, load, heat, segment = (columns.pop(n) for n in ("time", "torque", "temperature", "segment"))
-    step = float(np.median(np.diff(time)))
+    step = usual_step(time)
     speed = rate(columns["input_angle"], segment, step, _SPEED_WINDOW)
     run, bag = _runs(time, speed, segment), columns["bag"]
     raw = np.full(time.shape, assumed_torque) if load is None else load

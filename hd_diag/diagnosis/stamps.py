@@ -16,6 +16,11 @@ UNPAIRED = (
 """What is said of output angles without an input angle."""
 
 
+def usual_step(time: Floats) -> float:
+    """Between stamps [s]: the median."""
+    return float(np.median(np.diff(time)))
+
+
 class Stamps(NamedTuple):
     """Counts of samples that are in no record.
 

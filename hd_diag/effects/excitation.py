@@ -115,9 +115,9 @@ def _reaches(signals: Signals, torque: float, extra: str) -> Verdict:
 
 
 def torque_known(signals: Signals) -> Verdict:
-    """Whether the torque is measured: one that never changes by a digit is assumed."""
-    measured = _span(signals.torque) > _DIGIT * signals.rated_torque
-    return _verdict(measured, "no torque is measured: record it, for what the load does hides the rest")
+    """Whether the torque is known to change: one that never does by a digit may be assumed, or all noise."""
+    changes = _span(signals.torque) > _DIGIT * signals.rated_torque
+    return _verdict(changes, "no torque is measured, or it never changes: record it under a load that does")
 
 
 def torque_reverses(signals: Signals, fraction: float) -> Verdict:

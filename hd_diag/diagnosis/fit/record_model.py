@@ -13,6 +13,7 @@ from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.smoothing import smooth
+from hd_diag.diagnosis.stamps import usual_step
 from hd_diag.diagnosis.work import Work
 from hd_diag.drive import Drive
 from hd_diag.effects.array_cache import ArrayCache
@@ -78,7 +79,7 @@ class RecordModel:
                 seen = self.motion if record.taken is None else self.motion.bearing(record.by_sensor)
                 return np.nan_to_num(effect.torque(seen, nonlinear))
             columns = np.nan_to_num(effect.torque(self.motion.bearing(record.reported_torque), nonlinear))
-            used, step = np.flatnonzero(columns.any(axis=0)), float(np.median(np.diff(record.time)))
+            used, step = np.flatnonzero(columns.any(axis=0)), usual_step(record.time)
             columns[:, used] = smooth(columns[:, used], record.run, step, width)
             return columns
 

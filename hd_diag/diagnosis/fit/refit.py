@@ -13,6 +13,7 @@ from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.fit_parameters import COMPLIANCE, COUNT, DATUM, MIRRORED
 from hd_diag.diagnosis.record import Record
+from hd_diag.diagnosis.stamps import usual_step
 from hd_diag.drive import Drive
 from hd_diag.effects.mesh_torque import MeshTorque
 
@@ -196,7 +197,7 @@ def _resting(record: Record) -> npt.NDArray[np.bool_]:
     """Samples well within a rest of both motion and torque."""
     if record.size < 2:
         return np.zeros(record.size, dtype=np.bool_)
-    lag = max(round(_SETTLING / max(float(np.median(np.diff(record.time))), 1e-6)), 1)
+    lag = max(round(_SETTLING / max(usual_step(record.time), 1e-6)), 1)
     change = np.abs(record.torque - np.roll(record.torque, lag))
     speed = np.abs(record.speed)
     still = (speed <= _STILL * np.percentile(speed, 95)) & (change <= _STEADY * np.ptp(record.torque))

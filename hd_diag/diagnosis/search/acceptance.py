@@ -14,6 +14,7 @@ from hd_diag.diagnosis.fit.present_effects import Item
 from hd_diag.diagnosis.noise import numbered
 from hd_diag.diagnosis.search.ranking import Candidate
 from hd_diag.diagnosis.search.unmodelled_terms import UnmodelledTerm
+from hd_diag.diagnosis.stamps import usual_step
 from hd_diag.effects.effect import Effect, Stage
 from hd_diag.model.torsion_map import ARCSEC
 
@@ -131,7 +132,7 @@ def least_size(fit: LinearisedFit, effect: Effect) -> float:
         return LEAST_SIZE
     whole = fit.whole
     loop = (whole.predicted_torque_slope * fit.data.model.rate(whole.torque))[fit.data.at]
-    return max(LEAST_SIZE, _CYCLES * float(np.median(np.diff(whole.time)) * np.std(loop)))
+    return max(LEAST_SIZE, _CYCLES * usual_step(whole.time) * float(np.std(loop)))
 
 
 def needed(fit: LinearisedFit, chosen: Chosen) -> Chosen:
