@@ -15,6 +15,7 @@ from hd_diag.diagnosis.search.acceptance import (
     LEAST_SIZE,
     held_out_gain,
     imitated,
+    lasting,
     least_size,
     needed,
     of_shapes,
@@ -242,13 +243,37 @@ def test_another_law_of_torsion_is_no_shape_of_it(made: LinearisedFit) -> None:
     assert imitated(made, (), hardening, (14.0, 48.0, 0.01)) == 0.0
 
 
+def test_what_slow_noise_does_is_no_drift_with_temperature(long: Record) -> None:
+    """Beside zeros of three recordings: a drift by temperature lasts, slow noise does not."""
+    drift, time = EFFECTS["thermal_drift"], long.time
+    bag = np.arange(long.size) * 3 // long.size
+    zeros = np.array([0.0, 60.0, -40.0])[bag] * ARCSEC
+    rest = dataclasses.replace(
+        long, temperature=25.0 + time / 20.0, bag=bag, output_angle=long.output_angle + zeros
+    )
+    slow = np.repeat(np.random.default_rng(1).standard_normal(30), -(-long.size // 30))[: long.size]
+    for part, lasts in (
+        (of(drift, drift=0.6 * ARCSEC, lag=0.0), True),
+        (lambda signals: ARCSEC * np.interp(signals.time, time, slow), False),
+    ):
+        assert lasting(bench(part, record=rest), (), drift, (0.0,)) is lasts
+
+
 def test_what_counts_of_an_encoder_may_look_like_is_no_cause(plain: LinearisedFit) -> None:
     record, step = plain.data.record, 6.0 * ARCSEC
     counted = dataclasses.replace(record, output_angle=step * np.round(record.output_angle / step))
     coarse = linearise(counted, CONFIGURED, POINT)
-    delay = EFFECTS["stream_delay"]
-    assert least_size(coarse, delay) == pytest.approx(0.3 * step / np.sqrt(12.0), rel=0.01)
-    assert least_size(coarse, EFFECTS["torque_offset"]) == least_size(plain, delay) == LEAST_SIZE
+    delay, ball = EFFECTS["stream_delay"], EFFECTS["bearing_passage"]
+    rounding = step / np.sqrt(12.0)
+    assert least_size(coarse, delay, ()) == pytest.approx(0.3 * rounding, rel=0.01)
+    assert least_size(coarse, ball, (0.45, 1.0)) == pytest.approx(0.5 * rounding, rel=0.01)
+    for fit, effect, nonlinear in (
+        (coarse, ball, (0.45, 0.0)),
+        (coarse, EFFECTS["torque_offset"], ()),
+        (plain, ball, (0.45, 1.0)),
+        (plain, delay, ()),
+    ):
+        assert least_size(fit, effect, nonlinear) == LEAST_SIZE
 
 
 def test_a_loop_has_to_be_more_than_torsion_whose_torque_is_a_little_late(made: LinearisedFit) -> None:
@@ -256,9 +281,9 @@ def test_a_loop_has_to_be_more_than_torsion_whose_torque_is_a_little_late(made: 
     loop, whole = EFFECTS["hysteresis"], made.whole
     late = np.interp(whole.time - 3.0 / 200.0, whole.time, whole.torque) - whole.torque
     lags = (whole.predicted_torque_slope * late)[made.data.mask & (whole.time > 0.1)]
-    assert least_size(made, loop) == pytest.approx(np.std(lags), rel=0.05)
-    assert least_size(made, loop) > 2.0 * LEAST_SIZE
-    assert least_size(made, EFFECTS["thermal_drift"]) == LEAST_SIZE
+    assert least_size(made, *RUBBING) == pytest.approx(np.std(lags), rel=0.05)
+    assert least_size(made, *RUBBING) > 2.0 * LEAST_SIZE
+    assert least_size(made, EFFECTS["thermal_drift"], (1.0,)) == LEAST_SIZE
     assert of_shapes(made, (), loop) == 0.0
 
 

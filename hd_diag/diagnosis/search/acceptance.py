@@ -31,7 +31,7 @@ _LATE = 0.002  # the same of a delay
 _SHAPES = 8  # other shapes of a smooth law that are tried at most
 _STAYING = 0.8  # share of an effect that these must leave of it, for it to be another cause
 _CYCLES = 3.0  # samples by which torque and angles may be out of step
-_ROUNDED = 0.3  # of the rounding to counts, that may look like a cause
+_ROUNDED, _SAWTOOTH = 0.3, 0.5  # of the rounding to counts, that may look like a delay, and like a wave
 _OWN = 0.1  # of what an effect brings, that it must bring beside parameters free of their bounds, too
 _CERTAIN_SIZE = 0.5 * ARCSEC  # of a shape that nothing held out can prove [rad rms]
 _SECONDS = 2.5  # of a mean in which quick noise is gone
@@ -120,13 +120,15 @@ def smooth(effect: Effect) -> bool:
     return effect.broadband or slow or effect.frame in ("torque", "time")
 
 
-def least_size(fit: LinearisedFit, effect: Effect) -> float:
+def least_size(fit: LinearisedFit, effect: Effect, nonlinear: tuple[float, ...]) -> float:
     """Size that an effect has to have in the end [rad rms].
 
-    Rounding to counts is no noise where an encoder hardly moves, or at a speed that comes back: it looks like
-    a delay, or a line of some order. Torsion by a late torque is a small loop, too.
+    Rounding to counts is no noise where an encoder hardly moves: it looks like a delay; nor at a speed that
+    comes back: there it is a sawtooth of some order, whose phase slips. Torsion by a late torque is a loop.
     """
-    if effect.stage == Stage.STREAM or effect.of_any_order:
+    if effect.wanders(nonlinear):
+        return max(LEAST_SIZE, _SAWTOOTH * fit.data.counted)
+    if effect.stage == Stage.STREAM:
         return max(LEAST_SIZE, _ROUNDED * fit.data.counted)
     if effect.name != "hysteresis":
         return LEAST_SIZE
@@ -142,7 +144,7 @@ def needed(fit: LinearisedFit, chosen: Chosen) -> Chosen:
             continue
         rest = chosen[:index] + chosen[index + 1 :]
         blind = isinstance(effect, UnmodelledTerm) and not effect.predictive
-        least = _CERTAIN_SIZE if blind else least_size(fit, effect)
+        least = _CERTAIN_SIZE if blind else least_size(fit, effect, nonlinear)
         small = size(fit, rest, effect, nonlinear) < least
         if blind and not small:
             continue
@@ -208,18 +210,19 @@ def _part(fit: LinearisedFit, chosen: Chosen, effect: Effect, nonlinear: tuple[f
 def _confirmed(fit: LinearisedFit, chosen: Chosen, effect: Effect, nonlinear: tuple[float, ...]) -> bool:
     """Whether held-out blocks confirm a gain; a term that is not predictive needs a large one."""
     if isinstance(effect, UnmodelledTerm) and not effect.predictive:
-        return size(fit, chosen, effect, nonlinear) > _CERTAIN_SIZE and _lasting(fit, chosen, effect)
+        return size(fit, chosen, effect, nonlinear) > _CERTAIN_SIZE and lasting(fit, chosen, effect)
     return holds(*held_out_gain(fit, (*chosen, (effect, nonlinear)), len(chosen)))
 
 
-def _lasting(fit: LinearisedFit, chosen: Chosen, term: UnmodelledTerm) -> bool:
-    """Whether means over seconds are explained far better than slow noise would be."""
-    rest = fit.remainder(chosen)
-    mean, columns = _means(fit, rest), _means(fit, fit.columns(term, ()))
-    columns = np.concatenate((columns, np.ones((mean.size, 1))), axis=1)
-    residual = mean - columns @ np.linalg.lstsq(columns, mean, rcond=None)[0]
-    before, after = float(np.sum((mean - mean.mean()) ** 2)), float(residual @ residual)
-    return f_test(before, after, columns.shape[1] - 1, mean.size, columns.shape[1]) < _LASTING_CHANCE
+def lasting(fit: LinearisedFit, chosen: Chosen, effect: Effect, nonlinear: tuple[float, ...] = ()) -> bool:
+    """Whether means over seconds are explained far better than slow noise would be, beside the zeros."""
+    whole = np.column_stack((fit.remainder(chosen), fit.columns(effect, nonlinear)))
+    zeros, means = _means(fit, fit.data.offsets), _means(fit, whole)
+    mean, columns = np.split(means - projection(zeros, means), [1], axis=1)
+    residual = mean - projection(columns, mean)
+    fitted = columns.shape[1] + zeros.shape[1]
+    before, after = float(np.sum(mean**2)), float(np.sum(residual**2))
+    return f_test(before, after, columns.shape[1], len(mean), fitted) < _LASTING_CHANCE
 
 
 def _means(fit: LinearisedFit, columns: Floats) -> Floats:

@@ -16,6 +16,7 @@ from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.search.acceptance import (
     block_deviances,
     held_out_gain,
+    lasting,
     only_corrects_shape,
     smooth,
     wanders,
@@ -146,11 +147,14 @@ def causes(
 
 
 def doubted(found: Search) -> Search:
-    """The same, with causes doubtful that only mend a shape, or smooth and beaten by an unmodelled term."""
+    """The same, with causes doubtful that only mend a shape, are beaten by a term, or may be slow noise."""
     fit, chosen, judged = found.fit, found.chosen, []
     for index, cause in enumerate(found.causes):
         doubtful = only_corrects_shape(fit, chosen, index)
         doubtful = doubtful or (smooth(cause.effect) and _beaten(fit, chosen, index))
+        if "temperature" in cause.effect.needs:  # slow noise follows it as well
+            others = chosen[:index] + chosen[index + 1 :]
+            doubtful = doubtful or not lasting(fit, others, cause.effect, cause.nonlinear)
         judged.append(replace(cause, doubtful=doubtful))
     return replace(found, causes=tuple(judged))
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from hd_diag.arrays import Floats
-from hd_diag.diagnosis.fit.joint_refinement import free, polished, settle
+from hd_diag.diagnosis.fit.joint_refinement import free, polished, sensible, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.search.causes import CLASS_DEVIANCE, left_out
 from hd_diag.diagnosis.search.ranking import Projector, by_name, ranked
@@ -141,7 +141,8 @@ def _drawn_back(fit: LinearisedFit, chosen: Chosen) -> Chosen:
             for _ in range(_HALVINGS if values[number] > usual else 0):
                 values[number] = 0.5 * (values[number] + usual)
                 trial = (*chosen[:index], (effect, tuple(values)), *chosen[index + 1 :])
-                if deviance_of(fit, trial) > most:
+                there = fit.corrected(trial)
+                if there.deviance(trial) > most or not all(sensible(there, trial)):
                     break
                 chosen = trial
     return chosen
