@@ -228,11 +228,6 @@ class Effect:
         return tuple(quantity for quantity in self.quantities if not quantity.linear)
 
     @property
-    def of_any_order(self) -> bool:
-        """Whether it is a wave whose order may be any number."""
-        return any(quantity.name == "order" and not quantity.discrete for quantity in self.nonlinear)
-
-    @property
     def size(self) -> int:
         """Number of coefficients."""
         return len(self.linear)

@@ -214,14 +214,15 @@ def _held(fit: LinearisedFit, chosen: Chosen, names: list[str]) -> LinearisedFit
     noise = max(_NOISE.get(name, _USUAL_NOISE) for name in names)
     trial, free = _trial(fit, chosen, names), fit.with_noise(chosen, richer=False)
     held = settle(trial.with_noise(chosen, richer=False), chosen, rounds=2, learn=False)
-    if _surprise(held.with_noise(chosen, richer=False), chosen) - _surprise(free, chosen) <= noise:
+    held = held.with_noise(chosen, richer=False)
+    if _unlikelihood(held, chosen) - _unlikelihood(free, chosen) <= noise:
         return trial
-    with_, without = free.design(chosen), replace(trial, whiten=free.whiten).design(chosen)
-    fall, gain = without.deviance() - with_.deviance(), without.held_out() - with_.held_out()
+    fewer, more = replace(trial, whiten=free.whiten).design(chosen), free.design(chosen)
+    fall, gain = fewer.deviance() - more.deviance(), fewer.held_out() - more.held_out()
     return None if _confirmed(fall, gain) else trial
 
 
-def _surprise(fit: LinearisedFit, chosen: Chosen) -> float:
+def _unlikelihood(fit: LinearisedFit, chosen: Chosen) -> float:
     """Twice the negative logarithm of the likelihood of what a fit leaves, but for a constant."""
     rows = np.count_nonzero(fit.residual_white)
     return float(rows * np.log(fit.whiten.scale**2 * fit.deviance(chosen) / rows))

@@ -204,7 +204,8 @@ def _margin(term: Candidate, cause: Candidate) -> float:
 
     A line's order is whole; that of a cage or a belt would be close to a whole one by chance alone.
     """
-    return -_RESOLVED if isinstance(term.effect, OutputLine) and cause.effect.of_any_order else _PLAINLY
+    of_any_order = any(q.name == "order" and not q.discrete for q in cause.effect.nonlinear)
+    return -_RESOLVED if isinstance(term.effect, OutputLine) and of_any_order else _PLAINLY
 
 
 def _ranked_when_settled(
