@@ -18,6 +18,7 @@ from joint_records import ARCSEC, columns, joint, prepared
 from numpy.testing import assert_allclose
 from report_samples import RUN, diagnosed, diagnosis, generated, known_to_the_command_line, made
 
+from hd_diag.diagnosis import gain
 from hd_diag.diagnosis.diagnosis import diagnose
 from hd_diag.effects import CATALOGUE
 
@@ -68,6 +69,23 @@ def test_a_drift_of_every_recording_is_fitted_to_all_of_them() -> None:
     assert found.found is not None
     assert [effect.name for effect, _ in found.found.unmodelled] == ["drift"]
     assert not found.causes
+
+
+def test_intervals_are_longer_where_more_than_noise_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    record, drive, real = prepared(columns(12.0)), joint().drive, gain.measured_gain
+    plain = diagnose(record, drive, np.random.default_rng(0))
+
+    def worse(*given: Any) -> Any:
+        rms, share = real(*given)
+        return dataclasses.replace(rms, extended=2.0 * rms.extended, offline=2.0 * rms.offline), share
+
+    monkeypatch.setattr("hd_diag.diagnosis.diagnosis.measured_gain", worse)
+    found = diagnose(record, drive, np.random.default_rng(0))
+    assert found.misfit is not None
+    assert found.misfit.suspected
+    size = "eccentricity.magnitude"
+    ratio = found.parameters[size]["std"] / plain.parameters[size]["std"]
+    assert ratio == pytest.approx(found.misfit.value, rel=0.2)
 
 
 def test_what_lacks_is_said_of_every_cause_that_cannot_be_tested() -> None:

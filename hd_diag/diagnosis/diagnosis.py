@@ -178,6 +178,8 @@ def diagnose(
     every = replace(best.every, held=kept.held).beside(tuple(present))
     whole = doubted(refitted(settle(every, best.found.chosen), best.found))
     del begun, plain, found, best, every  # some hundred columns each
+    # As of an average whose parts disagree: Birge, Phys. Rev. 40 (1932).
+    wider = rms.misfit.value if rms.misfit.suspected else 1.0
     parameters, spread = kept.spread(whole)
     # Minima beside a drive without displacement are no rivals of it; nor those that only a cause made alike.
     certain = (
@@ -193,11 +195,11 @@ def diagnose(
         record,
         configured,
         findings,
-        Refit(drive, parameters, spread, trustworthy),
+        Refit(drive, parameters, wider**2 * spread, trustworthy),
         whole,
         rms,
         gain,
-        kept.physical(configured),
+        {name: wider * bound for name, bound in kept.physical(configured).items()},
         left,
         tuple(testable),
         extended_model(whole, configured, record),

@@ -31,7 +31,7 @@ _LATE = 0.002  # the same of a delay
 _SHAPES = 8  # other shapes of a smooth law that are tried at most
 _STAYING = 0.8  # share of an effect that these must leave of it, for it to be another cause
 _CYCLES = 3.0  # samples by which torque and angles may be out of step
-_ROUNDED, _SAWTOOTH = 0.3, 0.5  # of the rounding to counts, that may look like a delay, and like a wave
+_ROUNDED = 0.5  # of the rounding to counts, that may look like a delay or a wave
 _OWN = 0.1  # of what an effect brings, that it must bring beside parameters free of their bounds, too
 _CERTAIN_SIZE = 0.5 * ARCSEC  # of a shape that nothing held out can prove [rad rms]
 _SECONDS = 2.5  # of a mean in which quick noise is gone
@@ -126,9 +126,7 @@ def least_size(fit: LinearisedFit, effect: Effect, nonlinear: tuple[float, ...])
     Rounding to counts is no noise where an encoder hardly moves: it looks like a delay; nor at a speed that
     comes back: there it is a sawtooth of some order, whose phase slips. Torsion by a late torque is a loop.
     """
-    if effect.wanders(nonlinear):
-        return max(LEAST_SIZE, _SAWTOOTH * fit.data.counted)
-    if effect.stage == Stage.STREAM:
+    if effect.stage == Stage.STREAM or effect.wanders(nonlinear):
         return max(LEAST_SIZE, _ROUNDED * fit.data.counted)
     if effect.name != "hysteresis":
         return LEAST_SIZE
