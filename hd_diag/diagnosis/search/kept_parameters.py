@@ -29,7 +29,7 @@ GROUPS: dict[str, tuple[int, ...]] = {
 DISPLACEMENTS = frozenset(("eccentricity", "runout"))
 
 _PLAIN = 1600.0  # square of standard deviations beyond which no test is needed
-_NOISE = {"eccentricity": 16.0, "runout": 16.0}  # fall of the deviance that noise hardly ever brings
+_NOISE = {"eccentricity": 20.0, "runout": 20.0}  # fall of the likelihood that noise hardly ever brings
 _USUAL_NOISE = 6.0  # that of parameters of which a wrong value does no harm
 _PREDICTED = 0.5  # of that fall, in blocks held out
 _AGREEING = 0.5  # of the gain, that may be lost in some blocks
