@@ -94,11 +94,11 @@ class LinearisedFit:
     def with_noise(self, chosen: Chosen, richer: bool = True) -> LinearisedFit:
         """Whitened by the residual of a model rich enough to leave only noise, or by all that this leaves."""
         fixed = np.concatenate((self.always(), self.joined(chosen)), axis=1)
-        left = self.residual - projection(fixed, self.residual)
-        if not richer:
-            return replace(self, whiten=self.data.whitening_of(left), misfit=1.0)
-        rest = self.residual - projection(np.concatenate((fixed, self.flexible()), axis=1), self.residual)
-        misfit = float(np.std(left) / max(float(np.std(rest)), 1e-300)) if self.data.given else 1.0
+        wide = np.concatenate((fixed, self.flexible()), axis=1) if richer else fixed
+        rest, misfit = self.residual - projection(wide, self.residual), 1.0
+        if richer and self.data.given:
+            left = self.residual - projection(fixed, self.residual)
+            misfit = float(np.std(left) / max(float(np.std(rest)), 1e-300))
         return replace(self, whiten=self.data.whitening_of(rest), misfit=misfit)
 
     def flexible(self) -> Floats:
