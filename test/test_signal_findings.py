@@ -181,6 +181,7 @@ def test_what_is_held_out_is_foretold_from_both_sides(runs: int, bags: int) -> N
     whole = bag if bags > 3 else run if runs > 3 else stretch
     assert set(np.unique(whole[test])).isdisjoint(np.unique(whole[~test]))
     assert ("recordings" in which, "stretches" in which) == (bags > 3, bags < 4 and runs < 4)
+    assert which.startswith(f"{np.unique(whole[test]).size} of {whole.max() + 1} ")
 
 
 def test_a_torque_of_another_joint_is_left_out() -> None:

@@ -120,7 +120,7 @@ def held_out(record: Record) -> tuple[Rows, str]:
     if bags.size >= _HELD_OUT:
         rows = _every_fourth(np.searchsorted(bags, record.bag), bags.size)
         if 0.1 < rows.mean() < 0.5:
-            return rows, f"{bags.size // _HELD_OUT} of {bags.size} recordings"
+            return rows, f"{np.unique(record.bag[rows]).size} of {bags.size} recordings"
     if record.extent.runs >= _HELD_OUT:
         rows = _every_fourth(record.run, record.extent.runs)
         if 0.1 < rows.mean() < 0.5:
