@@ -93,7 +93,7 @@ TARGETS = (
     Aim(
         "residual above 1.3 times the noise, and nothing said [%]",
         tuple(FAMILIES),
-        lambda s: (x.passed_over for x in s if x.over_floor is not None),
+        lambda s: (x.passed_over for x in s if x.over_noise is not None),
         *(0.0, 0.0),
     ),
     Aim(

@@ -104,10 +104,11 @@ NAMES: tuple[Column, ...] = (
 )
 FITS: tuple[Column, ...] = (
     ("residual / noise, fit", lambda s: median((x.over_floor for x in s), "{:.4f}")),
+    ("residual / noise and the torque's, fit", lambda s: median((x.over_noise for x in s), "{:.4f}")),
     ("residual / noise, as it runs", lambda s: median((x.running_over_floor for x in s), "{:.4f}")),
     ("parameters in their 95 % interval", coverage),
     ("claims an eccentricity", lambda s: rate(x.claimed for x in s)),
-    ("misfit passed over", lambda s: rate(x.passed_over for x in s if x.over_floor is not None)),
+    ("misfit passed over", lambda s: rate(x.passed_over for x in s if x.over_noise is not None)),
     ("unknown flagged", lambda s: rate(x.flagged for x in s if x.unknown)),
     ("its order", lambda s: rate(x.order_right for x in s if x.order_right is not None)),
 )
@@ -147,7 +148,7 @@ def missed(scores: list[Score]) -> Iterator[str]:
             hidden = ", ".join(s.hidden) or s.unknown or "nothing"
             yield f"{s.family} {s.seed}: {hidden} -> {' + '.join('|'.join(f) for f in s.found) or 'nothing'}"
         if s.method == OWN and s.passed_over:
-            yield f"{s.family} {s.seed}: {s.over_floor:.2f} times the noise is left: {s.verdict}"
+            yield f"{s.family} {s.seed}: {s.over_noise:.2f} times the noise is left: {s.verdict}"
         if s.method == OWN and s.claimed and s.family == "faultless":
             yield f"{s.family} {s.seed}: there is no eccentricity: {s.verdict}"
 

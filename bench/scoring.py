@@ -50,8 +50,9 @@ class Score:
     claimed : an eccentricity or runout said to differ from what is configured
     flagged : something said to be unexplained, or the model not to fit
     order_right : of an unknown cause; None where it has no order
-    over_floor, running_over_floor : held-out residual over the true noise of those samples, of the fit
-        and of the model as it runs
+    over_floor, running_over_floor : held-out residual over the true noise of the output at those samples, of
+        the fit and of the model as it runs
+    over_noise : the same of the fit, over that and what noise of the smoothed torque does to the true drive
     covered : parameters within their 95 % interval, of seven
     seconds, verdict : CPU time [s]; the sentence
     effects : true sizes [SI] by name
@@ -72,6 +73,7 @@ class Score:
     order_right: bool | None = None
     over_floor: float | None = None
     running_over_floor: float | None = None
+    over_noise: float | None = None
     covered: int | None = None
     trusted: bool | None = None
     seconds: float = 0.0
@@ -92,7 +94,7 @@ class Score:
     @property
     def passed_over(self) -> bool:
         """Far from the noise, and nothing said."""
-        return self.over_floor is not None and self.over_floor > MISFIT and not self.flagged
+        return self.over_noise is not None and self.over_noise > MISFIT and not self.flagged
 
 
 def matched(hidden: Sequence[str], found: Sequence[Sequence[str]]) -> list[tuple[int, int]]:
@@ -152,6 +154,23 @@ def prepared(made: records.Record) -> Record:
 def size_of(made: records.Record, name: str, rows: np.ndarray | slice = slice(None)) -> float:
     """Rms at the output of what a cause adds [rad], on some samples."""
     return float(np.std(records.added_by(made, name)[rows]))
+
+
+def noise_by_torque(made: records.Record) -> np.ndarray:
+    """What the true drive would do more (n,) [rad], were its torque off as the smoothed reading's noise is.
+
+    None where no sensor measures the torque: how a motor's current is smoothed is part of the method.
+    """
+    if made.torque is None or made.truth["recording"]["torque_constant"]:
+        return np.zeros(made.time.size)
+    smoothed = prepared(made)
+    seen = records.scene(made.motion, made.time - sum(cause.delay for cause in made.causes))
+    clean, real = seen.torque, records.borne(made.causes, seen)
+    for cause in made.causes:
+        clean = cause.torque_reading(clean, real)
+    off = np.interp(made.time, smoothed.time, smoothed.torque) - clean
+    more = dataclasses.replace(seen, torque=seen.torque + off)
+    return records.output(made.base, made.causes, more) - records.output(made.base, made.causes, seen)
 
 
 def score(made: records.Record, family: str, seed: int) -> Score:
@@ -220,6 +239,8 @@ def _judge_fit(result: Score, made: records.Record, found: Diagnosis) -> None:
     noise = (made.output_angle - made.clean_output)[at]
     floor = float(np.sqrt(np.mean(noise**2)))
     result.over_floor, result.running_over_floor = found.rms.offline / floor, found.rms.extended / floor
+    by_torque = noise_by_torque(made)[at]
+    result.over_noise = found.rms.offline / float(np.sqrt(np.mean(noise**2 + by_torque**2)))
     if "wear_backlash" not in result.optional:  # which moves the datum as well
         result.covered = covered(found, made)
     result.trusted = found.refitted.trustworthy

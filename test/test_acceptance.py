@@ -13,6 +13,8 @@ from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.search.acceptance import (
     FAMILY_ERROR,
     LEAST_SIZE,
+    beside_another,
+    chance,
     held_out_gain,
     imitated,
     lasting,
@@ -61,9 +63,9 @@ def plain() -> LinearisedFit:
     return bench()
 
 
-def test_a_cause_passes_with_the_p_value_of_a_family_that_is_not_too_large(made: LinearisedFit) -> None:
+def test_a_cause_passes_in_a_family_that_is_not_too_large(made: LinearisedFit) -> None:
     (best,) = ranked(made, (), [RUBBED])
-    assert passing(made, (), [best], 50) == dataclasses.replace(best, p_value=50 * best.p_value)
+    assert passing(made, (), [best], 50) == best
     weak = dataclasses.replace(best, p_value=1e-4)
     assert passing(made, (), [weak], 99) is not None
     assert passing(made, (), [weak], 101) is None
@@ -128,6 +130,28 @@ def test_what_may_be_chance_makes_room_for_the_next(made: LinearisedFit) -> None
     weak = dataclasses.replace(true, p_value=0.02)
     assert passing(made, (), [weak], 1) is None
     assert passing(made, (), [weak, true], 1) == true
+
+
+def test_two_causes_of_which_neither_foretells_blocks_alone_pass_beside_each_other(
+    plain: LinearisedFit,
+) -> None:
+    rubs, off = EFFECTS["viscous_windup"], EFFECTS["torque_offset"]
+    fit = bench(of(rubs, friction=0.36, exponent=1.0), of(off, offset=0.56))
+    both = ranked(fit, (), [rubs, off])
+    assert all(one.p_value < 1e-60 for one in both)
+    assert [passing(fit, (), [one], 50) for one in both] == [None, None]
+    assert beside_another(fit, (), both, 50) == both[0]
+    assert beside_another(plain, (), ranked(plain, (), [rubs, off]), 50) is None
+
+
+def test_slow_noise_of_few_seconds_is_no_cause(made: LinearisedFit) -> None:
+    """To the noise that is learned beside a once per output turn it is one, for certain."""
+    chosen, record = ((RUNOUT, ()),), swinging(5.0)
+    walk = np.cumsum(np.random.default_rng(0).standard_normal(record.size))
+    slow = bench(lambda signals: 0.1 * ARCSEC * walk[: signals.time.size], record=record)
+    assert ranked(slow, (), [RUNOUT])[0].p_value < 1e-12
+    assert chance(slow, chosen, 0) > FAMILY_ERROR
+    assert chance(made, (RUBBING,), 0) < 1e-50
 
 
 def test_size_is_that_of_what_nothing_else_imitates(made: LinearisedFit) -> None:

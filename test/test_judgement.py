@@ -100,7 +100,8 @@ def test_a_cause_that_explains_more_than_is_left_is_named_unless_that_is_a_misfi
     large = dataclasses.replace(cause("hysteresis"), gain=0.7)
     assert NEAR.misfit.suspected
     assert diagnosis(large, rms=NEAR).causes == (large,)
-    assert diagnosis(cause("hysteresis"), rms=NEAR).causes == ()
+    assert diagnosis(dataclasses.replace(large, gain=0.2), rms=NEAR).causes == ()
+    assert diagnosis(large, rms=UNREPEATED).causes == (large,)
     assert diagnosis(large, rms=MISFIT).hints == (large,)
 
 

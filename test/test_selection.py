@@ -7,6 +7,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from benches import CONFIGURED, EFFECTS, POINT, TRUE, Part, bench, of, swinging
+from challenge import families
 from joint_records import ARCSEC, RATIO, prepared
 from joint_records import NOISE as NOISE_OF_RECORD
 
@@ -18,6 +19,7 @@ from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.fit.refit import Refit, refit
 from hd_diag.diagnosis.gain import MISFIT, Rms, held_out
+from hd_diag.diagnosis.record import prepare
 from hd_diag.diagnosis.search.causes import Search, causes, doubted, motor_deviations, parameters_of
 from hd_diag.diagnosis.search.kept_parameters import GROUPS, Kept, kept_parameters
 from hd_diag.diagnosis.search.ranking import candidates, family_size, ranked
@@ -26,6 +28,7 @@ from hd_diag.diagnosis.search.selection import (
     _plainly_better,
     _ranked_when_settled,
     _refitted,
+    _when_settled,
     _with_torque_zero,
     search,
     speed_dependent,
@@ -87,6 +90,32 @@ def test_parameters_that_imitate_a_cause_are_left_for_those_fitted_beside_it() -
     assert best[0].effect.name == "stream_delay"
     plain = settle(bench(of(EFFECTS["output_runout"], amplitude=20.0 * ARCSEC, direction=0.3)), ())
     assert _ranked_when_settled(plain, (), candidates(plain, ()), rng, plain.parameters)[0] is plain
+
+
+def test_a_cause_larger_than_the_least_torque_is_settled_where_the_flank_is_certain() -> None:
+    """Strain gauges feel a quarter of a newton metre twice a turn, under torques from 0.16 N m on."""
+    made = families.made("robot_single", 1_000_000_627)
+    columns = (made.time, made.input_angle, made.output_angle, made.torque, made.temperature, made.part)
+    record = prepare(*(column[made.time < 60.0] for column in columns), RATIO)
+    point = fit_parameters.vector(CONFIGURED, CONFIGURED) + np.array([22.6, 8.0, 2.9, 1.0, 12.0, -0.5, 0.4])
+    fit = settle(linearise(record, CONFIGURED, point), ())
+    (ripple,) = ranked(fit, (), [EFFECTS["torque_sensor_ripple"]])
+    assert _when_settled(fit, (), ripple, fit)[0] > 0.4 * ripple.surprise > 300.0
+
+
+@pytest.mark.parametrize(("real", "reported"), [(-1.0, 1.0), (8.0, 3.0)])
+def test_under_a_torque_that_never_changes_its_zero_may_be_what_looks_like_a_pitch(
+    real: float, reported: float
+) -> None:
+    record, pitch = swinging(), EFFECTS["circular_spline_pitch"]
+    torque = np.full(record.size, real)
+    output = record.input_angle / RATIO + transmission_error(TRUE, record.input_angle, torque)
+    output += NOISE_OF_RECORD * np.random.default_rng(1).standard_normal(record.size)
+    read = reported + 1e-3 * np.random.default_rng(2).standard_normal(record.size)
+    still = dataclasses.replace(record, torque=read, reported_torque=read, output_angle=output)
+    fit = settle(linearise(still, CONFIGURED, POINT), ((pitch, ()),), rounds=8)
+    (found,) = causes(fit, ((pitch, ()),), ("torque_offset",), np.random.default_rng(0))
+    assert "torque_offset" in found.alike
 
 
 def wave(order: float) -> Part:
@@ -276,7 +305,7 @@ def test_what_is_tried_in_a_cause_s_place_starts_where_the_cause_does() -> None:
     fit = settle(bench(of(rubbing, friction=1.5, exponent=1.0)), chosen)
     (size,) = fit.fit(chosen)[0][fit.places(chosen)[0]]
     away = fit.beside(((chosen[0], np.array([3.0 * size])),))
-    named = Search(away, causes(fit, chosen, {}, (), np.random.default_rng(0)))
+    named = Search(away, causes(fit, chosen, (), np.random.default_rng(0)))
     assert away.design(chosen).deviance() > fit.design(chosen).deviance() + 100.0
     assert [cause.doubtful for cause in doubted(named).causes] == [False]
 
@@ -325,7 +354,7 @@ def test_a_ball_whose_phase_wanders_is_no_misfit_though_nothing_foretells_it() -
     record = dataclasses.replace(record, output_angle=record.output_angle + added)
     chosen = ((ball, (10.25, 1.0)),)
     fit = settle(linearise(record, CONFIGURED, POINT, rows=~test), chosen)
-    found = Search(fit, causes(fit, chosen, {}, (), np.random.default_rng(0)))
+    found = Search(fit, causes(fit, chosen, (), np.random.default_rng(0)))
     best = _predicting(record, test, which, settle(fit, ()), found, np.random.default_rng(0))
     assert [cause.effect.name for cause in best.found.causes] == ["bearing_passage"]
     assert best.rms.extended > MISFIT * best.rms.noise
@@ -355,7 +384,7 @@ def test_a_cause_that_a_shape_of_no_cause_beats_is_doubtful() -> None:
     chosen = ((slow, (1.0,)),)
     for part, doubtful in ((creeping, True), (of(slow, drift=2.0 * ARCSEC, lag=1.0), False)):
         fit = settle(bench(part, record=record), chosen)
-        named = Search(fit, causes(fit, chosen, {}, (), np.random.default_rng(0)))
+        named = Search(fit, causes(fit, chosen, (), np.random.default_rng(0)))
         assert [cause.doubtful for cause in doubted(named).causes] == [doubtful]
 
 

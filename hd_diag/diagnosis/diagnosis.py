@@ -22,7 +22,14 @@ from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.screening import Screened, screened, without_misleading_torque
 from hd_diag.diagnosis.search.causes import Cause, Search, doubted, motor_deviations, refitted
 from hd_diag.diagnosis.search.detectability import Detectability, testability
-from hd_diag.diagnosis.search.kept_parameters import DISPLACEMENTS, GROUPS, Kept, keeping, kept_parameters
+from hd_diag.diagnosis.search.kept_parameters import (
+    DISPLACEMENTS,
+    GROUPS,
+    Kept,
+    keeping,
+    kept_parameters,
+    likelier,
+)
 from hd_diag.diagnosis.search.order_table import OrderRow
 from hd_diag.diagnosis.search.selection import is_only_minimum, search
 from hd_diag.diagnosis.search.unexplained import Unexplained, unexplained, with_table
@@ -34,7 +41,6 @@ from hd_diag.effects.effect import Stage
 from hd_diag.extended_model import ExtendedModel
 
 _MOST_ALIKE = 5  # causes that a class may hold and still say something
-_HALF = 0.5  # of what is left without a cause, that it explains beside a misfit
 _KEPT, _TESTED = 0.7, 0.9  # of the time that a diagnosis may take, by which these must end
 _NO_LAWS = ("no law was found", "no law was found")
 _BY_TORQUE = ("friction", "torsion")  # kinds of causes that a motor's own friction and constant imitate
@@ -99,13 +105,15 @@ class Diagnosis:
     def _is_named(self, cause: Cause) -> bool:
         """Whether a cause is named; not if too many others explain as much, or the parameters are ambiguous.
 
-        Nor in a misfit, or if more is left than it explains: what else is wrong may well look like it. Nor if
-        held-out rows are predicted no better with the causes. Where the torque is a motor's current nothing
-        is named that may be friction, torsion or the torque's reading: the motor's own friction and constant
-        are fitted too, and not known well enough.
+        Nor in a misfit, or where one may be that is larger than what it explains: what else is wrong may well
+        look like it. Nor if held-out rows are predicted no better with the causes. Where the torque is a
+        motor's current nothing is named that may be friction, torsion or the torque's reading: the motor's
+        own friction and constant are fitted too, and not known well enough.
         """
         sure, left = self.refitted is None or self.refitted.trustworthy, self.misfit
-        ahead = left is None or not left.suspected or (left.value <= MISFIT and cause.gain > _HALF)
+        ahead = left is None or not left.suspected
+        if left and left.suspected and not left.certain:
+            ahead = cause.gain > left.beyond_noise * (1.0 - cause.gain)
         named = sure and ahead and self.predicting and len(cause.alike) <= _MOST_ALIKE
         by_torque = self.record.by_current and any(
             effect.kind in _BY_TORQUE or effect.stage == Stage.TORQUE
@@ -241,8 +249,9 @@ def _predicting(
     best = tried(fit, kept, found)
     if best.rms.misfit.suspected:  # too much may be held
         for fewer in dict.fromkeys((DISPLACEMENTS.intersection(kept.bounds), frozenset[str]())):
-            if fewer < kept.bounds.keys():
-                freer = tried(*keeping(found.fit, found.chosen, fewer), found)
+            freed, there = kept.bounds.keys() - fewer, keeping(found.fit, found.chosen, fewer)
+            if freed and likelier(there[0], fit, found.chosen, freed):
+                freer = tried(*there, found)
                 if not freer.rms.misfit.suspected:
                     best = freer
                     break

@@ -110,6 +110,11 @@ class Misfit(NamedTuple):
         """Whether what is left is certainly more than noise."""
         return (self.value if self.measured else self.low) > MISFIT
 
+    @property
+    def beyond_noise(self) -> float:
+        """Share of the mean square that is left, that is not noise."""
+        return 1.0 - 1.0 / self.value**2
+
 
 def held_out(record: Record) -> tuple[Rows, str]:
     """Rows that no fit sees, shape (n,), and in words which: whole recordings or runs, or stretches.

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.diagnosis.fit.design import f_test, holds, projection, solve
+from hd_diag.diagnosis.fit.design import f_test, holds, projection, solve, surprise
 from hd_diag.diagnosis.fit.joint_refinement import sensible
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.present_effects import Item
 from hd_diag.diagnosis.noise import numbered
-from hd_diag.diagnosis.search.ranking import Candidate
+from hd_diag.diagnosis.search.ranking import Candidate, family_size, ranked
 from hd_diag.diagnosis.search.unmodelled_terms import UnmodelledTerm
 from hd_diag.diagnosis.stamps import usual_step
 from hd_diag.effects.effect import Effect, Stage
@@ -37,22 +35,39 @@ _CERTAIN_SIZE = 0.5 * ARCSEC  # of a shape that nothing held out can prove [rad 
 _SECONDS = 2.5  # of a mean in which quick noise is gone
 _CHANCE_SHARE = 3.0  # times what noise alone gives to so many columns
 _LASTING_CHANCE = 1e-6
+_TOGETHER = 3  # best candidates that are tried beside each other
+_OVERSTATED = 3.0  # times the gain of a likelihood that noise brings, by records without a cause
 
 
-def passing(fit: LinearisedFit, chosen: Chosen, ranked: list[Candidate], family: int) -> Candidate | None:
-    """The first candidate, the best first, that passes every test beside those chosen already.
-
-    Its p value is corrected for the number of hypotheses of the family.
-    """
-    for candidate in ranked:
-        p = by_chance(candidate, family)
-        if p > FAMILY_ERROR:  # the order may be that of what they leave once all is settled
+def passing(fit: LinearisedFit, chosen: Chosen, found: list[Candidate], family: int) -> Candidate | None:
+    """The first candidate, the best first, that passes every test beside those chosen already."""
+    for candidate in found:
+        # The order may be that of what they leave once all is settled.
+        if by_chance(candidate, family) > FAMILY_ERROR:
             continue
         effect, nonlinear = candidate.effect, candidate.nonlinear
         large = size(fit, chosen, effect, nonlinear) >= LEAST_SIZE
         itself = sensible(fit, (*chosen, (effect, nonlinear)))[-1]
         if large and itself and _confirmed(fit, chosen, effect, nonlinear):
-            return replace(candidate, p_value=p)
+            return candidate
+    return None
+
+
+def beside_another(
+    fit: LinearisedFit, chosen: Chosen, found: list[Candidate], family: int
+) -> Candidate | None:
+    """The first of the best that passes beside another one, which passes beside it; see :func:`passing`.
+
+    Where two causes are about as large neither may foretell what the other adds to held-out blocks.
+    """
+    for one in found[:_TOGETHER]:
+        if by_chance(one, family) > FAMILY_ERROR:
+            continue
+        trial = (*chosen, (one.effect, one.nonlinear))
+        others = [other.effect for other in found if other.effect is not one.effect]
+        second = passing(fit, trial, ranked(fit, trial, others)[:_TOGETHER], family)
+        if second and passing(fit, (*chosen, (second.effect, second.nonlinear)), [one], family):
+            return one
     return None
 
 
@@ -83,6 +98,29 @@ def _other_shapes(fit: LinearisedFit, chosen: Chosen) -> Chosen:
 def by_chance(candidate: Candidate, family: int) -> float:
     """Chance that noise makes any of so many hypotheses gain as much."""
     return min(1.0, candidate.p_value * family)
+
+
+def chance(fit: LinearisedFit, chosen: Chosen, index: int) -> float:
+    """The same for one of the chosen effects beside the others, by likelihoods, once all is settled.
+
+    Noise of which few seconds were seen has likelihoods some times as large as its model says. Of what is not
+    settled they say little: a cause in a wrong shape is less like noise than what is left without it.
+    """
+    others = chosen[:index] + chosen[index + 1 :]
+    gain = (log_likelihood(fit, chosen) - log_likelihood(fit, others)) / _OVERSTATED
+    p = np.exp(-surprise(gain, fit.columns(*chosen[index]).shape[1]))
+    return min(1.0, float(p) * family_size(fit))
+
+
+def log_likelihood(fit: LinearisedFit, chosen: Chosen) -> float:
+    """Twice the logarithm of the likelihood of what a fit leaves, but for a constant.
+
+    With the noise of that: slow noise looks like a cause to the noise that is learned beside it, and is noise
+    without it.
+    """
+    own = fit.with_noise(chosen, richer=False)
+    rows = np.count_nonzero(own.residual_white)
+    return -float(rows * np.log(own.whiten.scale**2 * own.deviance(chosen) / rows))
 
 
 def of_shapes(fit: LinearisedFit, chosen: Chosen, effect: Effect) -> float:
@@ -148,7 +186,8 @@ def needed(fit: LinearisedFit, chosen: Chosen) -> Chosen:
             continue
         gain, predicted = held_out_gain(fit, chosen, index)
         itself = sensible(fit, chosen)[index] and not _beyond_bounds(fit, chosen, rest, gain)
-        if small or not itself or not holds(gain, predicted):
+        certain = itself and holds(gain, predicted) and chance(fit, chosen, index) <= FAMILY_ERROR
+        if small or not certain:
             return needed(fit, rest)
     return chosen
 

@@ -11,10 +11,11 @@ import numpy.typing as npt
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.design import interval, lower_bound
-from hd_diag.diagnosis.fit.joint_refinement import covariance, free, polished
+from hd_diag.diagnosis.fit.joint_refinement import covariance, free, polished, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.search.acceptance import (
     block_deviances,
+    chance,
     held_out_gain,
     lasting,
     only_corrects_shape,
@@ -25,7 +26,7 @@ from hd_diag.diagnosis.search.order_table import OrderRow, refitted_rows
 from hd_diag.diagnosis.search.ranking import by_name, ranked
 from hd_diag.diagnosis.search.remainder import Remainder
 from hd_diag.diagnosis.search.unmodelled_terms import UNMODELLED_TERMS, UnmodelledTerm
-from hd_diag.effects.effect import Effect
+from hd_diag.effects.effect import Effect, Stage
 from hd_diag.effects.motor_current import MotorCurrent
 from hd_diag.formatting import words
 
@@ -34,6 +35,8 @@ CLASS_DEVIANCE = 10.0
 
 _DISAGREEING = 0.2  # of what one cause gains on another, in blocks where it loses
 _FAR = 0.1  # of a cause's gain, up to which another is distinguished from it without a fit of its own
+_NEARLY_AS_MUCH = 0.5  # of a cause's gain, that a torque which the motion cannot prove may lack
+_TO_ITS_SIZE = 8  # rounds in which it is brought there
 _NEARLY = 3  # rounds in which one that does nearly as well is brought to its best
 _PLAINLY = 0.1  # of a cause's gain, by which an unmodelled term beats it
 _CERTAIN = 100.0  # gain of such a cause
@@ -55,7 +58,7 @@ class Cause:
     amplitude : float
         Of its part in the error [rad rms].
     p_value : float
-        After correction for the whole family of candidates.
+        Chance that noise makes any of the candidates gain as much beside the others.
     alike : tuple of str
         Names that this record cannot tell from it, itself first.
     gain, gain_low, gain_high : float
@@ -113,7 +116,6 @@ class Search:
 def causes(
     fit: LinearisedFit,
     chosen: Chosen,
-    p_values: dict[str, float],
     rivals: Collection[str],
     rng: np.random.Generator,
 ) -> tuple[Cause, ...]:
@@ -124,8 +126,6 @@ def causes(
     fit : LinearisedFit
         Settled beside the chosen effects.
     chosen : sequence of (Effect, nonlinear values)
-    p_values : dict
-        By the effect's name, after correction for the family.
     rivals : collection of str
         Names of the effects that may be alike.
     rng : numpy.random.Generator
@@ -140,7 +140,7 @@ def causes(
         alike = (effect.name, *effect.always_confused)
         with fit.work.until(_CLASSED, f"testing what would explain {words(effect.name)} as well"):
             alike = (effect.name, *_alike(fit, chosen, index, rivals))
-        p_value = p_values.get(effect.name, float("nan"))
+        p_value = chance(fit, chosen, index)
         gains = float(np.mean(share)), low, min(high, 1.0)
         found.append(Cause(effect, nonlinear, *numbers, p_value, alike, *gains))
     return tuple(sorted(found, key=lambda cause: -cause.gain))
@@ -270,25 +270,33 @@ def _alike(fit: LinearisedFit, chosen: Chosen, index: int, rivals: Collection[st
     """Effects that would do as well in place of one, whether or not the motion can prove them.
 
     One that is worse in some blocks and better in others cannot be distinguished from it either: where the
-    model leaves more than noise, sums alone say nothing.
+    model leaves more than noise, sums alone say nothing. Of a torque that hardly changes another value may be
+    the real one, where the model's ripple is not quite the same.
     """
     effect, named = chosen[index][0], {e.name for e, _ in chosen}
     found = [name for name in effect.always_confused if name not in named]
     without, itself, others = left_out(fit, chosen, index)
     again = (*others, chosen[index])
-    far = without.deviance(others) - fit.deviance(chosen)
-    far = _FAR * far if far > _CERTAIN else 0.0
+    gain = without.deviance(others) - fit.deviance(chosen)
+    far = _FAR * gain if gain > _CERTAIN else 0.0
     for candidate in ranked(without, others, by_name(fit, {*rivals, *effect.confused_with})):
-        if candidate.effect.name in named or candidate.effect.name in found or candidate.gain < far:
+        name, trial = candidate.effect.name, (*others, (candidate.effect, candidate.nonlinear))
+        if name in named or name in found:
             continue
-        trial = (*others, (candidate.effect, candidate.nonlinear))
+        if candidate.effect.stage == Stage.TORQUE and not fit.data.testable(candidate.effect)[0]:
+            there = settle(without.corrected(trial), trial, _TO_ITS_SIZE, learn=False)
+            if there.deviance(trial) - itself.deviance(again) < _NEARLY_AS_MUCH * gain:
+                found.append(name)
+            continue
+        if candidate.gain < far:
+            continue
         there, blind = without.corrected(trial), wanders(chosen) or wanders(trial)
         worse = _deviances(there, trial, blind) - _deviances(itself, again, blind)
         if _separable(worse) and worse.sum() < far and free(candidate.effect):
             there, trial = polished(there, trial, _NEARLY)  # it may do as well at its best
             worse = _deviances(there, trial, blind) - _deviances(fit, chosen, blind)
         if not _separable(worse):
-            found.append(candidate.effect.name)
+            found.append(name)
     return found
 
 

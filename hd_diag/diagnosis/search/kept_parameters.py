@@ -14,6 +14,7 @@ from hd_diag.diagnosis.fit.fit_parameters import COUNT, DATUM, MIRRORED
 from hd_diag.diagnosis.fit.joint_refinement import covariance, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.refit import DISTINCT, distinct
+from hd_diag.diagnosis.search.acceptance import log_likelihood
 from hd_diag.diagnosis.search.causes import Search, parameters_of
 from hd_diag.drive import Drive
 
@@ -119,17 +120,18 @@ def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, 
     fit, rivals = _undisplaced(fit, chosen)
     away, spread = _away(fit, chosen)
     undetermined = [name for name, numbers in GROUPS.items() if set(numbers) <= set(fit.data.held)]
-    certain = {name: _certainty(away, spread, name) for name in GROUPS if name not in undetermined}
+    certain = {name: _certainty(away, spread, [name]) for name in GROUPS if name not in undetermined}
     doubtful = [name for name in certain if certain[name] < _PLAIN]
     if not doubtful:
         return fit, Kept(_bounds(fit, chosen, undetermined), rivals[1:])
     best, held = fit, list[str]()
-    if (trial := _held(fit, chosen, doubtful)) is not None:
-        best, held = trial, doubtful
-    elif len(doubtful) > 1:
-        for name in sorted(doubtful, key=certain.__getitem__):
-            if (trial := _held(best, chosen, [*held, name])) is not None:
-                best, held = trial, [*held, name]
+    one_by_one = [[name] for name in sorted(doubtful, key=certain.__getitem__)]
+    for more in (doubtful, *(one_by_one if len(doubtful) > 1 else ())):
+        names = [*held, *more]
+        if held == doubtful or _certainty(away, spread, names) > _PLAIN:
+            continue
+        if (trial := _held(best, chosen, names)) is not None:
+            best, held = trial, names
     if "eccentricity" in held and "runout" in certain.keys() - set(held) and not _eccentric(fit):
         held = [*held, "runout"]
         best = _trial(best, chosen, held)
@@ -155,7 +157,7 @@ def _undisplaced(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, lis
     """
     away, spread = _away(fit, chosen)
     fits = [fit]
-    if _certainty(away, spread, "eccentricity") <= _PLAIN:
+    if _certainty(away, spread, ["eccentricity"]) <= _PLAIN:
         starts = _datums(fit.data.configured)
         fits += [settle(fit.moved(start), chosen, rounds=5, learn=False) for start in starts]
     fits.sort(key=lambda one: one.deviance(chosen))
@@ -200,32 +202,28 @@ def _half_widths(spread: Floats) -> Floats:
     return np.asarray(_TWO_SIDED * np.sqrt(np.diag(spread)))
 
 
-def _certainty(away: Floats, spread: Floats, name: str) -> float:
-    numbers = list(GROUPS[name])
+def _certainty(away: Floats, spread: Floats, names: list[str]) -> float:
+    """Square of standard deviations, by which groups are away together."""
+    numbers = [number for name in names for number in GROUPS[name]]
     return float(away[numbers] @ np.linalg.solve(spread[np.ix_(numbers, numbers)], away[numbers]))
 
 
 def _held(fit: LinearisedFit, chosen: Chosen, names: list[str]) -> LinearisedFit | None:
-    """The fit with groups held at their configured values; None if held-out blocks are predicted worse.
-
-    Either has the noise of its own residual: what few seconds have of slow noise looks like an eccentricity,
-    and is noise to the one that holds it.
-    """
-    noise = max(_NOISE.get(name, _USUAL_NOISE) for name in names)
-    trial, free = _trial(fit, chosen, names), fit.with_noise(chosen, richer=False)
-    held = settle(trial.with_noise(chosen, richer=False), chosen, rounds=2, learn=False)
-    held = held.with_noise(chosen, richer=False)
-    if _unlikelihood(held, chosen) - _unlikelihood(free, chosen) <= noise:
+    """The fit with groups held at their configured values; None if held-out blocks are predicted worse."""
+    trial = _trial(fit, chosen, names)
+    if not likelier(fit, trial, chosen, names):
         return trial
+    free = fit.with_noise(chosen, richer=False)
     fewer, more = replace(trial, whiten=free.whiten).design(chosen), free.design(chosen)
     fall, gain = fewer.deviance() - more.deviance(), fewer.held_out() - more.held_out()
     return None if _confirmed(fall, gain) else trial
 
 
-def _unlikelihood(fit: LinearisedFit, chosen: Chosen) -> float:
-    """Twice the negative logarithm of the likelihood of what a fit leaves, but for a constant."""
-    rows = np.count_nonzero(fit.residual_white)
-    return float(rows * np.log(fit.whiten.scale**2 * fit.deviance(chosen) / rows))
+def likelier(fit: LinearisedFit, held: LinearisedFit, chosen: Chosen, names: Collection[str]) -> bool:
+    """Whether a fit is likelier than one that holds more groups, these, by more than noise ever brings."""
+    noise = max(_NOISE.get(name, _USUAL_NOISE) for name in names)
+    held = settle(held.with_noise(chosen, richer=False), chosen, rounds=2, learn=False)
+    return log_likelihood(fit, chosen) - log_likelihood(held, chosen) > noise
 
 
 def _confirmed(fall: float, gain: Floats) -> bool:

@@ -13,7 +13,7 @@ from hd_diag.diagnosis.fit.fit_parameters import COUNT, at_bound
 from hd_diag.diagnosis.fit.joint_refinement import free, polished, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.refit import FEW_STARTS, Refit, distinct, refit
-from hd_diag.diagnosis.search.acceptance import FAMILY_ERROR, by_chance, needed, passing
+from hd_diag.diagnosis.search.acceptance import FAMILY_ERROR, beside_another, by_chance, needed, passing
 from hd_diag.diagnosis.search.causes import Search, causes, plain_gain
 from hd_diag.diagnosis.search.exchange import (
     best_nonlinear,
@@ -48,7 +48,7 @@ _FAR = 2.0  # deviance over that of noise above which the parameters are still t
 _LARGE = 0.1  # gain over the deviance of noise above which a cause may have misled the parameters
 _RESTARTS = 3  # causes found, up to which each lets the model's parameters be searched for again
 _ZERO = "torque_offset"
-_TURNED = 0.1  # share of the torques that another zero must put on the other flank
+_TURNED = 0.01  # share of the torques that another zero must put on the other flank
 _PLAINLY = 10.0  # surprise by which an unmodelled term must beat all causes to come before them
 _RESOLVED = 5.0  # surprise by which a wave of any order must beat a whole number per output turn
 _RESTART_GAIN = 12.0  # deviance by which another minimum must beat the present one
@@ -74,10 +74,10 @@ def search(
         What was fitted beside terms for whatever a cause may be.
     """
     work, chosen = fit.work, fit.data.given
-    p_values, rivals = dict[str, float](), set[str]()
+    rivals = set[str]()
     fit = settle(fit, chosen)
     with work.until(_SEARCHED, FURTHER_CAUSES):
-        for now in _rounds(fit, chosen, p_values, rivals, rng, begun):
+        for now in _rounds(fit, chosen, rivals, rng, begun):
             fit, chosen = now
     work.tell(_LAST, "refining what was found")
     fit = fit.recentred()
@@ -86,20 +86,19 @@ def search(
     if (fewer := needed(fit, chosen)) != chosen:
         fit, chosen = finished_in_time(settle(fit, fewer), fewer)
     unmodelled = tuple(item for item in chosen if item[0].given or isinstance(item[0], UnmodelledTerm))
-    return Search(fit, causes(fit, chosen, p_values, rivals, rng), unmodelled)
+    return Search(fit, causes(fit, chosen, rivals, rng), unmodelled)
 
 
 def _rounds(
     fit: LinearisedFit,
     chosen: Chosen,
-    p_values: dict[str, float],
     rivals: set[str],
     rng: np.random.Generator,
     begun: Refit | None,
 ) -> Iterator[tuple[LinearisedFit, Chosen]]:
     """The fit beside one effect more in every round; what is given at any time can be the last.
 
-    Chances of what is chosen and names of its rivals are added to `p_values` and `rivals`.
+    Names of the rivals of what is chosen are added to `rivals`.
     """
     if chosen:
         fit, chosen = polished(fit, chosen)
@@ -119,7 +118,7 @@ def _rounds(
         found = _next(fit, chosen, family, best, refused)
         if found is None:
             break
-        before, p_values[found.effect.name] = (fit, chosen), found.p_value
+        before = fit, chosen
         chosen = (*chosen, (found.effect, found.nonlinear))
         fit, chosen = refined(fit, chosen)
         fit, chosen = on_certain_rows(fit, chosen)
@@ -153,10 +152,11 @@ def _next(
     """The best candidate that passes every test; where none does, the best unmodelled term; else None.
 
     A cause that fails at its grid point is tried between grid points. A term that is not predictive comes
-    last: a constant for every run imitates friction and drift together.
+    after all causes: a constant for every run imitates friction and drift together. Last of all two are tried
+    that explain something only together.
     """
     terms = ranked(fit, chosen, [term for term in _unmodelled(chosen) if term.name not in refused])[:2]
-    likely = [one for one in best[:1] if by_chance(one, family) <= FAMILY_ERROR]
+    likely = [one for one in best[:1] if by_chance(one, family) <= FAMILY_ERROR and free(one.effect)]
     leading = [one for one in terms[:1] if isinstance(one.effect, UnmodelledTerm) and one.effect.predictive]
     if ahead := bool(best and leading):  # of a cause that is not settled the gain says little
         most = leading[0].surprise - _margin(leading[0], best[0])
@@ -164,24 +164,26 @@ def _next(
     return (
         (passing(fit, chosen, leading, family) if ahead else None)
         or passing(fit, chosen, best[:3], family)
-        or passing(
-            fit,
-            chosen,
-            [_between_grid_points(fit, chosen, one) for one in likely if free(one.effect)],
-            family,
-        )
+        or passing(fit, chosen, [_between_grid_points(fit, chosen, one) for one in likely], family)
         or passing(fit, chosen, terms, family)
+        or beside_another(fit, chosen, best, family)
     )
 
 
 def _when_settled(
     fit: LinearisedFit, chosen: Chosen, one: Candidate, start: LinearisedFit, rounds: int = _ALONG_A_VALLEY
 ) -> tuple[float, LinearisedFit]:
-    """Surprise of a candidate once all is settled beside it, from another fit on, and where that ends."""
+    """Surprise of a candidate once all is settled beside it, from another fit on, and where that ends.
+
+    Both on rows where the torque that it leaves is clear of zero: elsewhere no step may lead to its size.
+    """
     trial = (*chosen, (one.effect, one.nonlinear))
-    there = settle(start.corrected(trial), trial, rounds, learn=False)
-    share = (fit.deviance(chosen) - one.gain) / deviance_of(there, trial)
-    return one.surprise + 0.5 * int(np.count_nonzero(fit.residual_white)) * (share - 1.0), there
+    sized = start.sized(trial, start.fit(trial)[0])
+    shift = start.effects.possible_torques(sized)
+    there = settle(start.clear_of(shift).beside(sized), trial, rounds, learn=False)
+    before, after = fit.clear_of(shift).beside(fit.present).deviance(chosen), deviance_of(there, trial)
+    rows, width = int(np.count_nonzero(fit.residual_white)), there.columns(*trial[-1]).shape[1]
+    return surprise((before - after) * rows / after, width), there
 
 
 def _plainly_better(before: tuple[LinearisedFit, Chosen], fit: LinearisedFit, fewer: Chosen) -> bool:
