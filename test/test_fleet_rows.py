@@ -38,7 +38,7 @@ def test_the_deviation_of_an_amplitude_is_that_of_drawn_coefficients() -> None:
     made = bench(of(ENCODER, amplitude=1e-3, direction=0.5, second_amplitude=0.0, second_direction=0.0))
     chosen = tuple((effect, tuple(made.data.grid(effect)[-1])) for effect in (ENCODER, HYSTERESIS, BEARING))
     rng = np.random.default_rng(0)
-    found = causes(made, chosen, {}, (), rng)
+    found = causes(made, chosen, (), rng)
     assert {cause.covariance.shape[0] > cause.coefficients.size for cause in found} == {False, True}
     for cause in found:
         own = slice(cause.coefficients.size)
