@@ -269,7 +269,7 @@ def test_a_bearing_that_slips_has_its_order_marked() -> None:
     """A fit carries more columns of it than the cause keeps coefficients."""
     bearing = EFFECTS["bearing_passage"]
     fitted = bench(lambda signals: 2e-5 * np.cos(2.6 * signals.wave_generator_angle))
-    (cause,) = causes(fitted, ((bearing, (2.6, 1.0)),), {}, (), np.random.default_rng(0))
+    (cause,) = causes(fitted, ((bearing, (2.6, 1.0)),), (), np.random.default_rng(0))
     assert fitted.columns(bearing, cause.nonlinear).shape[1] > cause.coefficients.size
     found = Diagnosis(fitted.data.record, CONFIGURED, (), None, Search(fitted, (cause,)), None, None)
     (mark,) = judgement_of(report_of(found)).marks
