@@ -20,7 +20,7 @@ from hd_diag.diagnosis.gain import MISFIT, Gain, Misfit, Rms, Rows, held_out, me
 from hd_diag.diagnosis.noise import ORDER
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.screening import Screened, screened, without_misleading_torque
-from hd_diag.diagnosis.search.causes import Cause, Search, doubted, motor_deviations, refitted
+from hd_diag.diagnosis.search.causes import Cause, Search, causes, doubted, motor_deviations, refitted
 from hd_diag.diagnosis.search.detectability import Detectability, testability
 from hd_diag.diagnosis.search.kept_parameters import (
     DISPLACEMENTS,
@@ -255,8 +255,20 @@ def _predicting(
                 if not freer.rms.misfit.suspected:
                     best = freer
                     break
+    by_current = record.by_current
+    # Two that undo each other may foretell nothing.
+    while best.rms.misfit.suspected and len(best.found.chosen) > 1:
+        simpler = [best.found.without(number) for number in range(len(best.found.chosen))]
+        trials = [tried(*keeping(one.fit, one.chosen, best.kept.bounds), one) for one in simpler]
+        least = min(trials, key=lambda trial: trial.rms.by_causes(by_current))
+        if best.rms.by_causes(by_current) <= _WORSE * least.rms.by_causes(by_current):
+            break
+        fit, chosen = least.found.fit, least.found.chosen
+        found = replace(least.found, causes=causes(fit, chosen, best.found.rivals, rng))
+        best = tried(*kept_parameters(fit, chosen), found)
+    found = best.found
     lines = tuple(item for item in found.chosen if item[0].given or isinstance(item[0], OutputLine))
-    left = best.rms.by_causes(record.by_current)
+    left = best.rms.by_causes(by_current)
     if found.chosen != lines and left > _WORSE * min(best.rms.refit, best.rms.nominal):
         found = Search(settle(plain, lines) if lines else plain, (), lines)
         best = tried(*kept_parameters(found.fit, lines), found)

@@ -6,7 +6,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit.design import f_test, holds, projection, solve, surprise
-from hd_diag.diagnosis.fit.joint_refinement import sensible
+from hd_diag.diagnosis.fit.joint_refinement import sensible, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.present_effects import Item
 from hd_diag.diagnosis.noise import numbered
@@ -20,6 +20,9 @@ _TORSION = "torsional_hardening"
 
 FAMILY_ERROR = 0.01
 """Chance of any false name by noise, over all candidates and grid points."""
+
+OVERSTATED = 3.0
+"""Times the gain of a likelihood that noise brings, by records without a cause."""
 
 LEAST_SIZE = 0.25 * ARCSEC
 """A cause smaller than this beside the refitted model is of no practical size [rad rms]."""
@@ -36,7 +39,6 @@ _SECONDS = 2.5  # of a mean in which quick noise is gone
 _CHANCE_SHARE = 3.0  # times what noise alone gives to so many columns
 _LASTING_CHANCE = 1e-6
 _TOGETHER = 3  # best candidates that are tried beside each other
-_OVERSTATED = 3.0  # times the gain of a likelihood that noise brings, by records without a cause
 
 
 def passing(fit: LinearisedFit, chosen: Chosen, found: list[Candidate], family: int) -> Candidate | None:
@@ -107,7 +109,7 @@ def chance(fit: LinearisedFit, chosen: Chosen, index: int) -> float:
     settled they say little: a cause in a wrong shape is less like noise than what is left without it.
     """
     others = chosen[:index] + chosen[index + 1 :]
-    gain = (log_likelihood(fit, chosen) - log_likelihood(fit, others)) / _OVERSTATED
+    gain = (log_likelihood(fit, chosen) - log_likelihood(fit, others)) / OVERSTATED
     p = np.exp(-surprise(gain, fit.columns(*chosen[index]).shape[1]))
     return min(1.0, float(p) * family_size(fit))
 
@@ -195,11 +197,15 @@ def needed(fit: LinearisedFit, chosen: Chosen) -> Chosen:
 def _beyond_bounds(fit: LinearisedFit, chosen: Chosen, rest: Chosen, gain: Floats) -> bool:
     """Whether the parameters, were they free of bounds, would do nearly all that an effect brings.
 
-    Noise of a torque makes a joint look stiffer: a hardening from zero on is then a negative compliance.
+    Noise of a torque makes a joint look stiffer: a hardening from zero on is then a negative compliance. What
+    it brings is counted from parameters that had time to get along without it.
     """
     if wanders(chosen):
         return False
-    return float(gain.sum()) < _OWN * (fit.deviance(rest) - fit.deviance(chosen))
+    own, least = float(gain.sum()) / _OWN, fit.deviance(chosen)
+    if own >= fit.deviance(rest) - least:
+        return False
+    return own < settle(fit.corrected(rest), rest, learn=False).deviance(rest) - least
 
 
 def held_out_gain(fit: LinearisedFit, chosen: Chosen, index: int) -> tuple[Floats, Floats]:

@@ -23,7 +23,7 @@ from hd_diag.diagnosis.search.acceptance import (
     wanders,
 )
 from hd_diag.diagnosis.search.order_table import OrderRow, refitted_rows
-from hd_diag.diagnosis.search.ranking import by_name, ranked
+from hd_diag.diagnosis.search.ranking import Candidate, by_name, ranked
 from hd_diag.diagnosis.search.remainder import Remainder
 from hd_diag.diagnosis.search.unmodelled_terms import UNMODELLED_TERMS, UnmodelledTerm
 from hd_diag.effects.effect import Effect, Stage
@@ -35,7 +35,7 @@ CLASS_DEVIANCE = 10.0
 
 _DISAGREEING = 0.2  # of what one cause gains on another, in blocks where it loses
 _FAR = 0.1  # of a cause's gain, up to which another is distinguished from it without a fit of its own
-_NEARLY_AS_MUCH = 0.5  # of a cause's gain, that a torque which the motion cannot prove may lack
+_NEARLY_AS_MUCH = 0.5  # of a gain, that a torque which the motion cannot prove may lack, or a rival keep
 _TO_ITS_SIZE = 8  # rounds in which it is brought there
 _NEARLY = 3  # rounds in which one that does nearly as well is brought to its best
 _PLAINLY = 0.1  # of a cause's gain, by which an unmodelled term beats it
@@ -94,12 +94,15 @@ class Search:
     unmodelled : tuple of (UnmodelledTerm, nonlinear values)
     table : tuple of OrderRow
         Waves in the rest, largest first.
+    rivals : frozenset of str
+        Names of what was tried in place of others.
     """
 
     fit: LinearisedFit
     causes: tuple[Cause, ...]
     unmodelled: Chosen = ()
     table: tuple[OrderRow, ...] = ()
+    rivals: frozenset[str] = frozenset()
 
     @property
     def chosen(self) -> Chosen:
@@ -111,6 +114,13 @@ class Search:
     def torque_shift(self) -> Floats:
         """What the torque may be by the causes less that of the record that is fitted, (n, k) [N m]."""
         return self.fit.effects.possible_torques(self.fit.sized(self.chosen, self.fit.fit(self.chosen)[0]))
+
+    def without(self, number: int) -> Search:
+        """The same without one of the chosen, settled anew; what is said of the others stays."""
+        rest = self.chosen[:number] + self.chosen[number + 1 :]
+        fit = settle(self.fit.corrected(rest), rest, _TO_ITS_SIZE, learn=False)
+        named = self.causes[:number] + self.causes[number + 1 :]
+        return replace(self, fit=fit, causes=named, unmodelled=rest[len(named) :])
 
 
 def causes(
@@ -295,9 +305,16 @@ def _alike(fit: LinearisedFit, chosen: Chosen, index: int, rivals: Collection[st
         if _separable(worse) and worse.sum() < far and free(candidate.effect):
             there, trial = polished(there, trial, _NEARLY)  # it may do as well at its best
             worse = _deviances(there, trial, blind) - _deviances(fit, chosen, blind)
-        if not _separable(worse):
+        if not (_separable(worse) or _another(fit, chosen, candidate)):
             found.append(name)
     return found
+
+
+def _another(fit: LinearisedFit, chosen: Chosen, candidate: Candidate) -> bool:
+    """Whether a rival explains about as much beside what is chosen as in place of a part: then it is none."""
+    beside = (*chosen, (candidate.effect, candidate.nonlinear))
+    gain = fit.deviance(chosen) - fit.corrected(beside).deviance(beside)
+    return gain > _NEARLY_AS_MUCH * candidate.gain
 
 
 def _separable(worse: Floats) -> bool:

@@ -10,6 +10,7 @@ from scipy.optimize import minimize
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit.joint_refinement import free, polished, sensible, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
+from hd_diag.diagnosis.search.acceptance import OVERSTATED
 from hd_diag.diagnosis.search.causes import CLASS_DEVIANCE, left_out
 from hd_diag.diagnosis.search.ranking import Projector, by_name, ranked
 from hd_diag.diagnosis.search.unmodelled_terms import OUTPUT_LINES, OutputLine, UnmodelledTerm
@@ -18,7 +19,7 @@ from hd_diag.effects.effect import Effect, Stage
 _FLEXIBLE = 8  # coefficients from which a shape may imitate two causes
 _TRIED = 3  # best causes of few coefficients, that are tried settled in its place
 _FIRST_MOVE = 0.5  # of a grid step, by which a refinement begins
-_TO_THE_END = 8  # rounds
+_BEGIN, _TO_THE_END = 2, 8  # rounds
 _AS_WELL, _HALVINGS = 3.84, 8  # deviance within which 95 % of true values lie; of the way to a usual one
 _REFINED = 0.55  # of the time that a diagnosis may take, by which it must end
 
@@ -80,8 +81,8 @@ def _settled(fit: LinearisedFit, chosen: Chosen) -> LinearisedFit:
 
 
 def _priced(fit: LinearisedFit, chosen: Chosen) -> float:
-    """Deviance with Akaike's price of the coefficients: of what explains as much, less is more."""
-    return fit.deviance(chosen) + 2.0 * _coefficients(fit, chosen)
+    """Deviance with Akaike's price of the coefficients, where deviances are overstated (QAIC)."""
+    return fit.deviance(chosen) + 2.0 * OVERSTATED * _coefficients(fit, chosen)
 
 
 def _coefficients(fit: LinearisedFit, chosen: Chosen) -> int:
@@ -101,8 +102,9 @@ def _few_in_place_of_one(
         few = [trial for trial in trials if _coefficients(fit, trial[-1:]) < _FLEXIBLE][:_TRIED]
         if not few:
             break
-        settled = [(_settled(fit.corrected(trial), trial), trial) for trial in few]
-        fit, others = min(settled, key=lambda one: _priced(*one))
+        begun = [(settle(fit.corrected(trial), trial, _BEGIN, learn=False), trial) for trial in few]
+        fit, others = min(begun, key=lambda one: _priced(*one))
+        fit = _settled(fit, others)
         if _priced(fit, others) < least:
             break
     return fit, others

@@ -86,7 +86,7 @@ def search(
     if (fewer := needed(fit, chosen)) != chosen:
         fit, chosen = finished_in_time(settle(fit, fewer), fewer)
     unmodelled = tuple(item for item in chosen if item[0].given or isinstance(item[0], UnmodelledTerm))
-    return Search(fit, causes(fit, chosen, rivals, rng), unmodelled)
+    return Search(fit, causes(fit, chosen, rivals, rng), unmodelled, rivals=frozenset(rivals))
 
 
 def _rounds(
