@@ -7,7 +7,9 @@ import pytest
 from benches import CONFIGURED, EFFECTS, POINT, TRUE, bench, of, swinging
 from joint_records import ARCSEC, NOISE, RATIO, prepared
 
+from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.design import projection
+from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.search.acceptance import (
@@ -185,6 +187,23 @@ def test_bend_and_elements_against_each_other_are_no_loop() -> None:
     against = bench(of(RUBBED, bending_amplitude=1e-4, slipping_amplitude=-9e-5, **shape))
     assert passing(against, (), ranked(against, (), (RUBBED,)), 1) is None
     assert needed(against, (RUBBING,)) == ()
+
+
+def test_parameters_that_a_line_leads_to_their_bounds_are_not_all_that_is_left_without_a_cause() -> None:
+    """A drive near the ends of what one can be, on a soft spring: without it they would settle otherwise."""
+    soft, chosen = EFFECTS["resonance"], ((EFFECTS["resonance"], (1.0, 17.325, 0.05)),)
+    point = np.array([0.767, 29.96, 0.0, 0.0, 29892.83, 17.378, 0.03])
+    record = swinging(drive=fit_parameters.drive_of(point, CONFIGURED))
+    plain = linearise(record, CONFIGURED, point)
+    sizes = {"amplitude": 7.033 * ARCSEC, "phase": 5.232, "carried": 0.9}
+    shape = {"order": 1.0, "natural_frequency": 17.325, "damping": 0.05}
+    angle = plain.data.record.output_angle + of(soft, **sizes, **shape)(plain.signals)
+    moved = dataclasses.replace(plain.data.record, output_angle=angle)
+    fit = settle(linearise(moved, CONFIGURED, point).with_noise(chosen), chosen)
+    gain, _ = held_out_gain(fit, chosen, 0)
+    assert fit.deviance(()) - fit.deviance(chosen) > 10.0 * gain.sum()
+    assert settle(fit.corrected(()), (), learn=False).deviance(()) < 0.5 * fit.deviance(())
+    assert needed(fit, chosen) == chosen
 
 
 def test_what_is_not_predictive_is_not_judged_by_blocks_held_out(plain: LinearisedFit) -> None:

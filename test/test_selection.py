@@ -327,6 +327,39 @@ def test_parameters_that_held_out_rows_speak_against_are_not_kept() -> None:
     assert not best.rms.misfit.suspected
 
 
+def test_a_cause_without_which_held_out_rows_are_foretold_better_goes() -> None:
+    """What the temperature seems to do is half the noise where it hardly changes, else nothing."""
+    drift, rubs, record = EFFECTS["thermal_drift"], EFFECTS["viscous_windup"], swinging(40.0)
+    test, which = held_out(record)
+    warmth = np.where(test, 8.0, 0.5) * np.sin(record.time / 1.3)
+    added = of(rubs, friction=1.5, exponent=1.0)(linearise(record, CONFIGURED, POINT).whole)
+    added += np.where(test, 0.0, 0.6 * NOISE_OF_RECORD / 0.5) * warmth
+    angle = record.output_angle + added
+    record = dataclasses.replace(record, temperature=25.0 + warmth, output_angle=angle)
+    chosen = ((rubs, (1.0,)), (drift, (0.0,)))
+    plain = linearise(record, CONFIGURED, POINT, rows=~test)
+    fit = settle(plain, chosen)
+    found = Search(fit, causes(fit, chosen, (), np.random.default_rng(0)))
+    best = _predicting(record, test, which, settle(plain, ()), found, np.random.default_rng(0))
+    assert [cause.effect.name for cause in best.found.causes] == ["viscous_windup"]
+    assert not best.rms.misfit.suspected
+    assert best.kept.bounds["cup_compliance"] > 1e-3
+
+
+def test_a_rival_that_explains_something_else_is_none() -> None:
+    """A ball's wave, which is there as well, explains as much beside a wrong zero as in its place."""
+    zero, chosen = EFFECTS["torque_offset"], ((EFFECTS["torque_offset"], ()),)
+
+    def slipping(signals: Signals) -> np.ndarray:
+        angle = signals.wave_generator_angle
+        way = np.cumsum(np.abs(np.diff(angle, prepend=angle[0])))
+        return 2.0 * ARCSEC * np.cos(10.25 * angle + 2.5 * np.sin(4.0 * way / way[-1]))
+
+    fit = settle(bench(of(zero, offset=0.6), slipping), chosen)
+    (cause,) = causes(fit, chosen, ("bearing_passage",), np.random.default_rng(0))
+    assert cause.alike == ("torque_offset",)
+
+
 def test_parameters_that_predict_no_better_stay_as_configured(monkeypatch: pytest.MonkeyPatch) -> None:
     """Those of noise, which held-out blocks of the fit itself have passed."""
     monkeypatch.setattr(diagnosis, "kept_parameters", lambda fit, chosen: (fit, Kept({})))

@@ -227,6 +227,10 @@ class _Tried(NamedTuple):
     rms: Rms
     gain: Gain
 
+    def left(self) -> float:
+        """What causes leave of held-out rows [rad rms]."""
+        return self.rms.by_causes(self.found.fit.data.source.by_current)
+
 
 def _predicting(
     record: Record,
@@ -255,21 +259,20 @@ def _predicting(
                 if not freer.rms.misfit.suspected:
                     best = freer
                     break
-    by_current = record.by_current
-    # Two that undo each other may foretell nothing.
-    while best.rms.misfit.suspected and len(best.found.chosen) > 1:
-        simpler = [best.found.without(number) for number in range(len(best.found.chosen))]
+    while (
+        best.rms.misfit.suspected and len(found.chosen) > 1
+    ):  # two that undo each other may foretell nothing
+        places = [place for place, (effect, _) in enumerate(found.chosen) if not effect.given]
+        simpler = [found.without(place) for place in places]
         trials = [tried(*keeping(one.fit, one.chosen, best.kept.bounds), one) for one in simpler]
-        least = min(trials, key=lambda trial: trial.rms.by_causes(by_current))
-        if best.rms.by_causes(by_current) <= _WORSE * least.rms.by_causes(by_current):
+        least = min(trials, key=_Tried.left)
+        if best.left() <= _WORSE * least.left():
             break
-        fit, chosen = least.found.fit, least.found.chosen
-        found = replace(least.found, causes=causes(fit, chosen, best.found.rivals, rng))
-        best = tried(*kept_parameters(fit, chosen), found)
-    found = best.found
+        found = simpler[trials.index(least)]
+        found = replace(found, causes=causes(found.fit, found.chosen, found.rivals, rng))
+        best = tried(*kept_parameters(found.fit, found.chosen), found)
     lines = tuple(item for item in found.chosen if item[0].given or isinstance(item[0], OutputLine))
-    left = best.rms.by_causes(by_current)
-    if found.chosen != lines and left > _WORSE * min(best.rms.refit, best.rms.nominal):
+    if found.chosen != lines and best.left() > _WORSE * min(best.rms.refit, best.rms.nominal):
         found = Search(settle(plain, lines) if lines else plain, (), lines)
         best = tried(*kept_parameters(found.fit, lines), found)
     if best.gain.low <= 0.0:
