@@ -51,6 +51,14 @@ def test_a_ratio_that_is_slightly_wrong_is_found_as_a_ramp(record: Record, fract
     assert found.value == pytest.approx(RATIO * (1.0 + fraction), abs=RATIO * 1e-5)
 
 
+def test_a_ratio_that_is_slightly_wrong_is_found_between_dropouts(record: Record) -> None:
+    """No piece of half a second leans enough; within a recording all pieces have one zero."""
+    pieces = dataclasses.replace(scaled(record, 1.0 + 1.2e-4), run=np.arange(record.size) // 100)
+    found = check_ramp(pieces, RATIO)
+    assert found is not None
+    assert found.value == pytest.approx(RATIO * (1.0 + 1.2e-4), abs=RATIO * 1e-5)
+
+
 @pytest.mark.parametrize("seconds", [17.5, 24.0, 47.0])
 def test_a_large_eccentricity_over_a_part_of_a_turn_is_no_ramp(seconds: float) -> None:
     """One way, one load: ripple that ends anywhere in its turn must not lean."""

@@ -16,8 +16,8 @@ from hd_diag.diagnosis.regression import centered
 _FOLLOWS = 0.3  # of the output's travel, that it may be off at most
 _RATIO_MISS = 2e-3  # relative; more than any transmission error can make of a turn
 _RAMP_MISS = 8e-5  # relative; torsion by gravity leans by half of it over a robot's reach
-_RAMP_ERROR = 1e-4  # [rad]; what is not fitted beside a ramp may lean by this over a run
-_LEAST_REACH = 2.5  # of a run at the output [rad]; over less, a wave of the output bends like a ramp
+_RAMP_ERROR = 1e-4  # [rad]; what is not fitted beside a ramp may lean by this over a recording
+_LEAST_REACH = 2.5  # of a recording at the output [rad]; over less, a wave of the output bends like a ramp
 _PLAIN = 0.5  # of the rest, that a ramp must explain alone
 _LESS = 0.999  # of the rest: beyond what two columns take by chance
 _PARTS = 6
@@ -69,7 +69,7 @@ def check_ramp(record: Record, ratio: float) -> Finding | None:
     a measured torque, torsion looks like a ramp; over a small part of a turn, runout does. A disc off its
     centre, which bends twice per turn as well, must explain less than the ramps.
     """
-    reach = float(np.ptp(centered(record.input_angle / ratio, record.run)))
+    reach = float(np.ptp(centered(record.input_angle / ratio, record.bag)))
     if not record.has_torque or reach < _LEAST_REACH:
         return None
     mean, least = _ramp(record.thinned(_MOST_ROWS), ratio)
@@ -125,12 +125,12 @@ def _ramp(record: Record, ratio: float) -> tuple[float, float]:
     )
     rows = np.arange(record.size)
     part = rows * _PARTS // record.size
-    along = centered(ideal, record.run)
+    along = centered(ideal, record.bag)
     columns = [along * (part == number) for number in range(_PARTS)]
-    columns += [centered(column, record.run) for column in (*shared, *_waves(2.0 * ideal))]
+    columns += [centered(column, record.bag) for column in (*shared, *_waves(2.0 * ideal))]
     scale = np.array([max(float(np.linalg.norm(c)), 1e-300) for c in columns])
     scaled = np.stack(columns, axis=1) / scale
-    error = centered(record.output_angle - ideal, record.run)
+    error = centered(record.output_angle - ideal, record.bag)
     waved, scaled = scaled[:, _PARTS:], scaled[:, :-2]
     inverse = np.linalg.pinv(scaled, rcond=1e-6)
     found = inverse @ error
