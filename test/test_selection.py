@@ -20,7 +20,7 @@ from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.fit.refit import Refit, refit
 from hd_diag.diagnosis.gain import MISFIT, Rms, held_out
 from hd_diag.diagnosis.record import prepare
-from hd_diag.diagnosis.search.causes import Search, causes, doubted, motor_deviations, parameters_of
+from hd_diag.diagnosis.search.causes import Search, causes, doubted, left_out, motor_deviations, parameters_of
 from hd_diag.diagnosis.search.kept_parameters import GROUPS, Kept, kept_parameters
 from hd_diag.diagnosis.search.ranking import candidates, family_size, ranked
 from hd_diag.diagnosis.search.selection import (
@@ -308,6 +308,23 @@ def test_what_is_tried_in_a_cause_s_place_starts_where_the_cause_does() -> None:
     named = Search(away, causes(fit, chosen, (), np.random.default_rng(0)))
     assert away.design(chosen).deviance() > fit.design(chosen).deviance() + 100.0
     assert [cause.doubtful for cause in doubted(named).causes] == [False]
+
+
+def test_a_cause_that_no_step_leads_back_to_is_compared_with_what_is_settled_in_its_place() -> None:
+    """A wrong zero that puts torques on the other flank: its columns beside none of it lead elsewhere."""
+    record = swinging()
+    real = 0.4 * np.sin(2.0 * np.pi * record.time / 5.3) - 0.3
+    output = record.input_angle / RATIO + transmission_error(TRUE, record.input_angle, real)
+    output += NOISE_OF_RECORD * np.random.default_rng(0).standard_normal(record.size)
+    light = dataclasses.replace(record, torque=real + 1.2, reported_torque=real + 1.2, output_angle=output)
+    chosen, zero = ((EFFECTS["torque_offset"], ()),), np.array([-1.2])
+    there = linearise(light, CONFIGURED, POINT).clear_of(np.full(record.size, -1.2))
+    fit = settle(there.beside(((chosen[0], zero),)).with_noise(chosen), chosen)
+    assert fit.beside(()).corrected(chosen).deviance(chosen) > fit.deviance(chosen) + 1000.0
+    assert left_out(fit, chosen, 0)[1].deviance(chosen) < fit.deviance(chosen) + 10.0
+    rivals = {"wear_backlash", "circular_spline_pitch", "circular_spline_form", "coupling_misalignment"}
+    (cause,) = causes(fit, chosen, rivals, np.random.default_rng(0))
+    assert cause.alike == ("torque_offset",)
 
 
 def test_parameters_that_held_out_rows_speak_against_are_not_kept() -> None:

@@ -189,7 +189,8 @@ def left_out(fit: LinearisedFit, chosen: Chosen, index: int) -> tuple[Linearised
 
     Whatever is tried in its place starts there, as it does itself: what settling everything beside it brought
     is no merit of its own. Where others grow so much there that it does not lead back, all start beside the
-    others at their size.
+    others at their size. Where it does not from there either, as a torque that puts teeth on the other flank,
+    it stays as it was: only what is settled in its place can be compared with it.
     """
     others = chosen[:index] + chosen[index + 1 :]
     again, without = (*others, chosen[index]), fit.corrected(others)
@@ -198,6 +199,7 @@ def left_out(fit: LinearisedFit, chosen: Chosen, index: int) -> tuple[Linearised
         sized = fit.sized(chosen, fit.fit(chosen)[0])
         without = fit.beside(sized[:index] + sized[index + 1 :])
         itself = without.corrected(again)
+        itself = fit if itself.deviance(again) > fit.deviance(chosen) + CLASS_DEVIANCE else itself
     return without, itself, others
 
 
@@ -301,6 +303,8 @@ def _alike(fit: LinearisedFit, chosen: Chosen, index: int, rivals: Collection[st
         if candidate.gain < far:
             continue
         there, blind = without.corrected(trial), wanders(chosen) or wanders(trial)
+        if itself is fit:
+            there = settle(there, trial, _TO_ITS_SIZE, learn=False)
         worse = _deviances(there, trial, blind) - _deviances(itself, again, blind)
         if _separable(worse) and worse.sum() < far and free(candidate.effect):
             there, trial = polished(there, trial, _NEARLY)  # it may do as well at its best
