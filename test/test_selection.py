@@ -320,7 +320,7 @@ def test_a_cause_that_no_step_leads_back_to_is_compared_with_what_is_settled_in_
     chosen, zero = ((EFFECTS["torque_offset"], ()),), np.array([-1.2])
     there = linearise(light, CONFIGURED, POINT).clear_of(np.full(record.size, -1.2))
     fit = settle(there.beside(((chosen[0], zero),)).with_noise(chosen), chosen)
-    assert fit.beside(()).corrected(chosen).deviance(chosen) > fit.deviance(chosen) + 1000.0
+    assert fit.beside(()).corrected(chosen).deviance(chosen) > fit.deviance(chosen) + 100.0
     assert left_out(fit, chosen, 0)[1].deviance(chosen) < fit.deviance(chosen) + 10.0
     rivals = {"wear_backlash", "circular_spline_pitch", "circular_spline_form", "coupling_misalignment"}
     (cause,) = causes(fit, chosen, rivals, np.random.default_rng(0))
