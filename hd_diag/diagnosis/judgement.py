@@ -14,7 +14,7 @@ from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.refit import usable
 from hd_diag.diagnosis.gain import MISFIT
 from hd_diag.diagnosis.regression import centered, usual_laws
-from hd_diag.diagnosis.search.kept_parameters import GROUPS
+from hd_diag.diagnosis.search.kept_parameters import GROUPS, TWO_SIDED
 from hd_diag.formatting import ARCSEC, words
 
 Judgement = Literal["as_configured", "parameters", "causes", "described", "misfit", "not_judged"]
@@ -28,9 +28,6 @@ _STRETCHES = 12  # of a record, whose scatter tells how well its mean square is 
 
 Beside = Literal["within", "near", "beyond", "open"]
 """A value beside its limit: under it, over it, too near to it to tell which, or unknown."""
-
-TWO_SIDED = 1.96
-"""Standard deviations to either side of a value that make its 95 % interval."""
 
 
 class Limited(NamedTuple):

@@ -11,8 +11,9 @@ from hd_diag.arrays import Floats
 from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.gain import Gain, Rms
-from hd_diag.diagnosis.judgement import TWO_SIDED, Answer, Change, first_words
+from hd_diag.diagnosis.judgement import Answer, Change, first_words
 from hd_diag.diagnosis.search.causes import Cause
+from hd_diag.diagnosis.search.kept_parameters import TWO_SIDED
 from hd_diag.diagnosis.search.order_table import OrderRow
 from hd_diag.diagnosis.search.selection import FURTHER_CAUSES
 from hd_diag.diagnosis.search.unexplained import Unexplained

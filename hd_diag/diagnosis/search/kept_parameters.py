@@ -29,6 +29,9 @@ GROUPS: dict[str, tuple[int, ...]] = {
 
 DISPLACEMENTS = frozenset(("eccentricity", "runout"))
 
+TWO_SIDED = 1.96
+"""Standard deviations to either side of a value that make its 95 % interval."""
+
 _PLAIN = 1600.0  # square of standard deviations beyond which no test is needed
 _NOISE = {"eccentricity": 20.0, "runout": 20.0}  # fall of the likelihood that noise hardly ever brings
 _USUAL_NOISE = 6.0  # that of parameters of which a wrong value does no harm
@@ -36,7 +39,6 @@ _PREDICTED = 0.5  # of that fall, in blocks held out
 _AGREEING = 0.5  # of the gain, that may be lost in some blocks
 _DATUMS = (-8.0, 0.0, 8.0)  # from the configured one, with which other minima are looked for
 _ONE_SIGN = 0.05  # of the rows, that torque of the other sign has at most
-_TWO_SIDED = 1.96  # standard deviations of a 95 % interval
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ class Kept:
         for name, bound in self.bounds.items():
             for number in GROUPS[name]:
                 spread[number], spread[:, number] = 0.0, 0.0
-                spread[number, number] = (bound / _TWO_SIDED) ** 2
+                spread[number, number] = (bound / TWO_SIDED) ** 2
         return found, spread
 
     def _rivals(self, whole: Search) -> Iterator[LinearisedFit]:
@@ -199,7 +201,7 @@ def _squared_displacement(away: Floats) -> float:
 
 def _half_widths(spread: Floats) -> Floats:
     """Of 95 % intervals, shape (7,)."""
-    return np.asarray(_TWO_SIDED * np.sqrt(np.diag(spread)))
+    return np.asarray(TWO_SIDED * np.sqrt(np.diag(spread)))
 
 
 def _certainty(away: Floats, spread: Floats, names: list[str]) -> float:
@@ -263,13 +265,13 @@ def _bound(fit: LinearisedFit, chosen: Chosen, name: str) -> float:
     numbers = list(GROUPS[name])
     size = float(np.hypot(*away[numbers])) if len(numbers) > 1 else abs(float(away[numbers[0]]))
     if name != "eccentricity" or _eccentric(fit):
-        return size + _TWO_SIDED * _deviation(spread, numbers)
+        return size + TWO_SIDED * _deviation(spread, numbers)
     start = max(size, 1.0)
     moved = fit.parameters.copy()
     moved[:2] = start * (moved[:2] / size if size > 1e-6 else np.array([1.0, 0.0]))
     there = fit.moved(moved).beside(fit.present)
     own = covariance(there, chosen)[0][:COUNT, :COUNT]
-    return float(np.sqrt(size**2 + 2.0 * start * _TWO_SIDED * _deviation(own, numbers)))
+    return float(np.sqrt(size**2 + 2.0 * start * TWO_SIDED * _deviation(own, numbers)))
 
 
 def _eccentric(fit: LinearisedFit) -> bool:
