@@ -4,7 +4,7 @@
 set -eu
 
 probe='
-import sys
+import os, sys
 version = "%d.%d.%d" % sys.version_info[:3]
 if not (3, 10) <= sys.version_info[:2] <= (3, 13):
     sys.exit("Python %s, not 3.10 to 3.13" % version)
@@ -15,7 +15,9 @@ try:
 except ImportError:
     sys.exit("Python %s without the venv module (Debian, Ubuntu: apt install python%d.%d-venv)"
              % (version, sys.version_info[0], sys.version_info[1]))
-print(sys.executable)
+# The one that an active environment was made from: that may be the environment which is made anew.
+inside = sys.prefix != sys.base_prefix
+print(os.path.join(sys.base_prefix, "bin", "python%d.%d" % sys.version_info[:2]) if inside else sys.executable)
 '
 
 newline='
