@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import venv
 import zipfile
 from email.message import Message
 from pathlib import Path
@@ -169,3 +170,16 @@ def test_make_works_on_a_copy_of_a_tree_that_is_read_only() -> None:
         assert sorted(path.name for path in copy.iterdir()) == [".venv", "Makefile", "scripts"]
         (tree / "scripts").chmod(0o755)
         tree.chmod(0o755)
+
+
+def test_no_environment_is_made_with_one_that_is_active(tmp_path: Path) -> None:
+    """It may be the very one that is made anew."""
+    venv.create(tmp_path / "active", with_pip=False)
+    own = tmp_path / "active" / "bin"
+    inside = {**os.environ, "PATH": f"{own}{os.pathsep}{os.environ['PATH']}"}
+    command = ["sh", str(ROOT / "scripts" / "find_python.sh"), str(own / "python")]
+    run = subprocess.run(command, env=inside, capture_output=True, text=True, timeout=60)
+    assert (run.returncode, run.stderr) == (0, "")
+    found = Path(run.stdout.strip())
+    assert not found.is_relative_to(tmp_path)
+    assert found.exists()
