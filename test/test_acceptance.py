@@ -17,6 +17,7 @@ from hd_diag.diagnosis.search.acceptance import (
     LEAST_SIZE,
     beside_another,
     chance,
+    chance_in_misfit,
     held_out_gain,
     imitated,
     lasting,
@@ -154,6 +155,14 @@ def test_slow_noise_of_few_seconds_is_no_cause(made: LinearisedFit) -> None:
     assert ranked(slow, (), [RUNOUT])[0].p_value < 1e-12
     assert chance(slow, chosen, 0) > FAMILY_ERROR
     assert chance(made, (RUBBING,), 0) < 1e-50
+
+
+def test_a_chance_is_larger_where_more_than_noise_may_be_left() -> None:
+    """Gains of twice the noise's deviation are four times as likely: exponents of one hypothesis, of many."""
+    assert chance_in_misfit(1e-8, 1, 2.0) == pytest.approx(1e-2)
+    assert chance_in_misfit(1e-6, 100, 2.0) == pytest.approx(1.0)
+    assert chance_in_misfit(1e-30, 100, 2.0) == pytest.approx(1e-6)
+    assert chance_in_misfit(1e-6, 100, 0.9) == pytest.approx(1e-6)
 
 
 def test_size_is_that_of_what_nothing_else_imitates(made: LinearisedFit) -> None:

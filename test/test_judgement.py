@@ -97,10 +97,14 @@ def test_where_no_motion_repeats_noise_may_be_all_that_is_left_and_nothing_is_na
 
 
 def test_a_cause_that_explains_more_than_is_left_is_named_unless_that_is_a_misfit() -> None:
-    large = dataclasses.replace(cause("hysteresis"), gain=0.7)
+    """Its chance is of so many times the noise: 0.002 is 0.02 at 1.25 times."""
+    large = dataclasses.replace(cause("hysteresis"), gain=0.7, p_value=0.0)
     assert NEAR.misfit.suspected
     assert diagnosis(large, rms=NEAR).causes == (large,)
     assert diagnosis(dataclasses.replace(large, gain=0.2), rms=NEAR).causes == ()
+    for p_value, rms, named in ((1e-9, NEAR, True), (2e-3, NEAR, False), (1e-9, UNREPEATED, False)):
+        (told,) = diagnosis(dataclasses.replace(large, p_value=p_value), rms=rms).causes or (None,)
+        assert (told is not None) is named
     assert diagnosis(large, rms=UNREPEATED).causes == (large,)
     assert diagnosis(large, rms=MISFIT).hints == (large,)
 

@@ -76,7 +76,7 @@ def diagnosis(*causes: Cause, **changes: Any) -> Diagnosis:
         "configured": CONFIGURED,
         "findings": (),
         "refitted": refitted(),
-        "found": SimpleNamespace(causes=causes, table=()),
+        "found": SimpleNamespace(causes=causes, table=(), family=1),
         "rms": rms,
         "gain": Gain(0.97, 0.96, 0.98, "3 of 12 runs"),
         "testable": TESTS,

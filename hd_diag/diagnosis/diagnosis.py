@@ -20,6 +20,7 @@ from hd_diag.diagnosis.gain import MISFIT, Gain, Misfit, Rms, Rows, held_out, me
 from hd_diag.diagnosis.noise import ORDER
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.screening import Screened, screened, without_misleading_torque
+from hd_diag.diagnosis.search.acceptance import FAMILY_ERROR, chance_in_misfit
 from hd_diag.diagnosis.search.causes import Cause, Search, causes, doubted, motor_deviations, refitted
 from hd_diag.diagnosis.search.detectability import Detectability, testability
 from hd_diag.diagnosis.search.kept_parameters import (
@@ -105,15 +106,16 @@ class Diagnosis:
     def _is_named(self, cause: Cause) -> bool:
         """Whether a cause is named; not if too many others explain as much, or the parameters are ambiguous.
 
-        Nor in a misfit, or where one may be that is larger than what it explains: what else is wrong may well
-        look like it. Nor if held-out rows are predicted no better with the causes. Where the torque is a
-        motor's current nothing is named that may be friction, torsion or the torque's reading: the motor's
-        own friction and constant are fitted too, and not known well enough.
+        Nor in a misfit, or where one may be that is larger than what it explains, or beside which that may be
+        chance: what else is wrong may look like it. Nor if held-out rows are predicted no better with the
+        causes. Where the torque is a motor's current nothing is named that may be friction, torsion or the
+        torque's reading: the motor's own friction and constant are fitted too, and not known well enough.
         """
         sure, left = self.refitted is None or self.refitted.trustworthy, self.misfit
         ahead = left is None or not left.suspected
-        if left and left.suspected and not left.certain:
-            ahead = cause.gain > left.beyond_noise * (1.0 - cause.gain)
+        if left and self.found and left.suspected and not left.certain:
+            p_value = chance_in_misfit(cause.p_value, self.found.family, left.value)
+            ahead = cause.gain > left.beyond_noise * (1.0 - cause.gain) and p_value <= FAMILY_ERROR
         named = sure and ahead and self.predicting and len(cause.alike) <= _MOST_ALIKE
         by_torque = self.record.by_current and any(
             effect.kind in _BY_TORQUE or effect.stage == Stage.TORQUE

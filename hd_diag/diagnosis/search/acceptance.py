@@ -114,6 +114,15 @@ def chance(fit: LinearisedFit, chosen: Chosen, index: int) -> float:
     return min(1.0, float(p) * family_size(fit))
 
 
+def chance_in_misfit(p_value: float, family: int, over_noise: float) -> float:
+    """The same where so many times the noise may be left: gains of likelihoods are overstated by its square.
+
+    As deviations are by itself (Birge, Phys. Rev. 40, 1932).
+    """
+    power = max(over_noise, 1.0) ** -2.0
+    return float(min(1.0, family * (p_value / family) ** power))
+
+
 def log_likelihood(fit: LinearisedFit, chosen: Chosen) -> float:
     """Twice the logarithm of the likelihood of what a fit leaves, but for a constant.
 

@@ -96,6 +96,8 @@ class Search:
         Waves in the rest, largest first.
     rivals : frozenset of str
         Names of what was tried in place of others.
+    family : int
+        Number of hypotheses.
     """
 
     fit: LinearisedFit
@@ -103,6 +105,7 @@ class Search:
     unmodelled: Chosen = ()
     table: tuple[OrderRow, ...] = ()
     rivals: frozenset[str] = frozenset()
+    family: int = 1
 
     @property
     def chosen(self) -> Chosen:

@@ -73,8 +73,7 @@ def search(
     begun : Refit, optional
         What was fitted beside terms for whatever a cause may be.
     """
-    work, chosen = fit.work, fit.data.given
-    rivals = set[str]()
+    work, chosen, rivals = fit.work, fit.data.given, set[str]()
     fit = settle(fit, chosen)
     with work.until(_SEARCHED, FURTHER_CAUSES):
         for now in _rounds(fit, chosen, rivals, rng, begun):
@@ -86,7 +85,8 @@ def search(
     if (fewer := needed(fit, chosen)) != chosen:
         fit, chosen = finished_in_time(settle(fit, fewer), fewer)
     unmodelled = tuple(item for item in chosen if item[0].given or isinstance(item[0], UnmodelledTerm))
-    return Search(fit, causes(fit, chosen, rivals, rng), unmodelled, rivals=frozenset(rivals))
+    found = causes(fit, chosen, rivals, rng)
+    return Search(fit, found, unmodelled, (), frozenset(rivals), family_size(fit))
 
 
 def _rounds(
