@@ -339,6 +339,21 @@ def test_a_loop_has_to_be_more_than_torsion_whose_torque_is_a_little_late(made: 
     assert of_shapes(made, (), loop) == 0.0
 
 
+def test_a_loop_has_to_be_more_than_what_noise_of_the_torque_does() -> None:
+    """What bends the torsion by a smoothed torque that is still off by some 0.1 N m is no friction."""
+    record, rng = swinging(), np.random.default_rng(3)
+    real = 0.1 * record.torque
+    least = []
+    for noise in (0.0, 1.5):
+        torque = real + noise * rng.standard_normal(record.size)
+        given = {"time": record.time, "input": record.input_angle, "output": record.output_angle}
+        fit = linearise(prepared({**given, "torque": torque}), CONFIGURED, POINT)
+        least.append(least_size(fit, *RUBBING))
+    off = fit.whole.predicted_torque_slope * (fit.whole.torque - real)
+    assert least[1] > max(np.std(off[fit.data.at]), 2.0 * least[0])
+    assert least_size(fit, EFFECTS["torque_offset"], ()) == LEAST_SIZE
+
+
 def test_a_runout_beside_a_large_delay_is_no_mended_shape() -> None:
     """A delay has no shape of its own: a hundredth of it may be a cause."""
     late = (EFFECTS["stream_delay"], ())

@@ -32,6 +32,7 @@ _LATE = 0.002  # the same of a delay
 _SHAPES = 8  # other shapes of a smooth law that are tried at most
 _STAYING = 0.8  # share of an effect that these must leave of it, for it to be another cause
 _CYCLES = 3.0  # samples by which torque and angles may be out of step
+_SMOOTHED = 1.5  # deviations of the smoothed torque by its noise, that its error may have
 _ROUNDED = 0.5  # of the rounding to counts, that may look like a delay or a wave
 _OWN = 0.1  # of what an effect brings, that it must bring beside parameters free of their bounds, too
 _CERTAIN_SIZE = 0.5 * ARCSEC  # of a shape that nothing held out can prove [rad rms]
@@ -173,15 +174,19 @@ def least_size(fit: LinearisedFit, effect: Effect, nonlinear: tuple[float, ...])
     """Size that an effect has to have in the end [rad rms].
 
     Rounding to counts is no noise where an encoder hardly moves: it looks like a delay; nor at a speed that
-    comes back: there it is a sawtooth of some order, whose phase slips. Torsion by a late torque is a loop.
+    comes back: there it is a sawtooth of some order, whose phase slips. Torsion by a late torque is a loop;
+    and what smoothing left of the torque's noise, or cut of its corners, a loop may filter as well.
     """
     if effect.stage == Stage.STREAM or effect.wanders(nonlinear):
         return max(LEAST_SIZE, _ROUNDED * fit.data.counted)
     if effect.name != "hysteresis":
         return LEAST_SIZE
-    whole = fit.whole
-    loop = (whole.predicted_torque_slope * fit.data.model.rate(whole.torque))[fit.data.at]
-    return max(LEAST_SIZE, _CYCLES * usual_step(whole.time) * float(np.std(loop)))
+    whole, at = fit.whole, fit.data.at
+    slope = whole.predicted_torque_slope[at]
+    late = _CYCLES * usual_step(whole.time) * fit.data.model.rate(whole.torque)
+    off = _SMOOTHED * fit.data.source.torque_deviation
+    by_torque = [float(np.sqrt(np.mean((slope * one[at]) ** 2))) for one in (late, off)]
+    return max(LEAST_SIZE, *by_torque)
 
 
 def needed(fit: LinearisedFit, chosen: Chosen) -> Chosen:
