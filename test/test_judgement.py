@@ -109,6 +109,15 @@ def test_a_cause_that_explains_more_than_is_left_is_named_unless_that_is_a_misfi
     assert diagnosis(large, rms=MISFIT).hints == (large,)
 
 
+def test_a_cause_that_foretells_no_more_than_the_configured_drive_is_a_hint() -> None:
+    """Parameters may have followed noise: beside these alone it seems to help."""
+    made = diagnosis(cause("hysteresis"))
+    assert made.rms is not None
+    assert (made.rms.refit, len(made.causes)) == (pytest.approx(5.0 * ARCSEC), 1)
+    worse = dataclasses.replace(made.rms, nominal=3.2 * ARCSEC)
+    assert diagnosis(cause("hysteresis"), rms=worse).causes == ()
+
+
 def test_what_explains_most_is_said_first() -> None:
     (first, *_) = changed = Answer(diagnosis()).changes
     assert [change.explains for change in changed] == sorted((c.explains for c in changed), reverse=True)

@@ -100,8 +100,9 @@ class Diagnosis:
 
     @property
     def predicting(self) -> bool:
-        """Whether held-out rows are predicted better with the causes than by the parameters alone."""
-        return self.rms is None or self.rms.by_causes(self.record.by_current) < self.rms.refit
+        """Whether held-out rows are predicted better with the causes than without, or as configured."""
+        rms = self.rms
+        return rms is None or rms.by_causes(self.record.by_current) < min(rms.refit, rms.nominal)
 
     def _is_named(self, cause: Cause) -> bool:
         """Whether a cause is named; not if too many others explain as much, or the parameters are ambiguous.

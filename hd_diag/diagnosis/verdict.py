@@ -181,8 +181,8 @@ def sentence(answer: Answer) -> str:
     if rms is not None and diagnosis.hints and not diagnosis.predicting:
         left = rms.by_causes(record.by_current) / ARCSEC
         parts.append(
-            "held-out data are predicted no better with it than by the model's "
-            f"parameters alone ({left:.2f} against {arcsec(rms.refit)}): record more"
+            "held-out data are predicted no better with it than without "
+            f"({left:.2f} against {arcsec(min(rms.refit, rms.nominal))}): record more"
         )
     if record.size < record.extent.samples:
         samples = f"{record.size} of {record.extent.samples} samples"
