@@ -212,19 +212,21 @@ def test_the_sentence(made: Diagnosis, said: str) -> None:
     assert said.startswith((";", "unexplained")) or sentence(Answer(made)) == said
 
 
-@pytest.mark.parametrize(("most", "where"), [(20e-6, "within"), (10e-6, "beyond")])
+@pytest.mark.parametrize(
+    ("most", "where"), [(20e-6, "is within"), (10e-6, "is beyond"), (17.9e-6, "may be beyond")]
+)
 def test_severity_comes_first(most: float, where: str) -> None:
     """Catalogue's accuracy, then what the assembly may have; before anything that was found."""
     made = diagnosis(cause("hysteresis"), allowed=Allowed(most, "peak_tooth_load"))
     first, _, _ = sentence(Answer(made)).partition(";")
     assert re.fullmatch(r"the joint is within its accuracy \(\d+ of 90 arcsec peak to peak\) and .*", first)
     sizes = f"18.2 of {most * 1e6:.1f} µm"
-    assert first.endswith(f"its eccentricity is {where} the tolerance's limit ({sizes}, by peak tooth load)")
+    assert first.endswith(f"its eccentricity {where} the tolerance's limit ({sizes}, by peak tooth load)")
     expected = {"eccentricity": pytest.approx(18.2e-6), "std": pytest.approx(3e-7), "allowed": most}
     assert as_json(made, "joint_1")["tolerance"] == {
         **expected,
         "criterion": "peak_tooth_load",
-        "within": where == "within",
+        "within": where == "is within",
     }
 
 
@@ -273,6 +275,11 @@ def test_scatter_of_the_encoders_zeros_is_told() -> None:
     assert as_json(made, "joint_1")["encoder_zeros"] == {"values": [*zeros], "scatter": scatter}
     assert summary(made)[2].startswith("encoders' zero: one for each of 3 recordings; they scatter by 26.46")
     assert as_json(diagnosis(encoder_zeros=zeros[:1]), "joint_1")["encoder_zeros"] is None
+
+
+def test_an_eccentricity_that_is_ambiguous_is_beside_no_limit() -> None:
+    made = diagnosis(refitted=refitted(trustworthy=False), allowed=Allowed(10e-6, "overlap"))
+    assert "tolerance's limit" not in sentence(Answer(made))
 
 
 def test_causes_that_predict_nothing_are_doubted() -> None:

@@ -236,9 +236,9 @@ def _severity(answer: Answer) -> list[str]:
         parts.append(f"the joint is {where} its accuracy ({own} of {allowed:.0f} arcsec peak to peak)")
     else:
         parts.append("whether the joint is within its accuracy cannot be judged without its torque")
-    if assembly is not None and answer.diagnosis.allowed is not None:
-        where = "within" if assembly.within else "beyond"
+    if assembly is not None and answer.diagnosis.allowed is not None and not math.isnan(assembly.value):
+        where = "may be beyond" if assembly.place in ("near", "open") else f"is {assembly.place}"
         sizes = f"{assembly.value * 1e6:.1f} of {assembly.limit * 1e6:.1f} µm"
         by = words(answer.diagnosis.allowed.criterion)
-        parts.append(f"its eccentricity is {where} the tolerance's limit ({sizes}, by {by})")
+        parts.append(f"its eccentricity {where} the tolerance's limit ({sizes}, by {by})")
     return [" and ".join(parts)]
