@@ -102,7 +102,7 @@ class Diagnosis:
     def predicting(self) -> bool:
         """Whether held-out rows are predicted better with the causes than without, or as configured."""
         rms = self.rms
-        return rms is None or rms.by_causes(self.record.by_current) < min(rms.refit, rms.nominal)
+        return rms is None or rms.by_causes(self.record.by_current) < rms.without_causes
 
     def _is_named(self, cause: Cause) -> bool:
         """Whether a cause is named; not if too many others explain as much, or the parameters are ambiguous.
@@ -255,27 +255,25 @@ def _predicting(
         fit, kept = kept_parameters(fit, found.chosen)
     best = tried(fit, kept, found)
     if best.rms.misfit.suspected:  # too much may be held
-        for fewer in dict.fromkeys((DISPLACEMENTS.intersection(kept.bounds), frozenset[str]())):
-            freed, there = kept.bounds.keys() - fewer, keeping(found.fit, found.chosen, fewer)
+        for held in dict.fromkeys((DISPLACEMENTS.intersection(kept.bounds), frozenset[str]())):
+            freed, there = kept.bounds.keys() - held, keeping(found.fit, found.chosen, held)
             if freed and likelier(there[0], fit, found.chosen, freed):
                 freer = tried(*there, found)
                 if not freer.rms.misfit.suspected:
                     best = freer
                     break
-    while (
-        best.rms.misfit.suspected and len(found.chosen) > 1
-    ):  # two that undo each other may foretell nothing
-        places = [place for place, (effect, _) in enumerate(found.chosen) if not effect.given]
-        simpler = [found.without(place) for place in places]
-        trials = [tried(*keeping(one.fit, one.chosen, best.kept.bounds), one) for one in simpler]
-        least = min(trials, key=_Tried.left)
-        if best.left() <= _WORSE * least.left():
-            break
-        found = simpler[trials.index(least)]
-        found = replace(found, causes=causes(found.fit, found.chosen, found.rivals, rng))
-        best = tried(*kept_parameters(found.fit, found.chosen), found)
+    with fit.work.until(_KEPT, "testing whether fewer causes predict better"):
+        while best.rms.misfit.suspected and len(found.chosen) > 1:  # two that undo each other may not
+            places = [place for place, (effect, _) in enumerate(found.chosen) if not effect.given]
+            simpler = [found.without(place) for place in places]
+            trials = [(tried(*keeping(one.fit, one.chosen, best.kept.bounds), one), one) for one in simpler]
+            least, fewer = min(trials, key=lambda trial: trial[0].left())
+            if best.left() <= _WORSE * least.left():
+                break
+            fewer = replace(fewer, causes=causes(fewer.fit, fewer.chosen, fewer.rivals, rng))
+            best, found = tried(*kept_parameters(fewer.fit, fewer.chosen), fewer), fewer
     lines = tuple(item for item in found.chosen if item[0].given or isinstance(item[0], OutputLine))
-    if found.chosen != lines and best.left() > _WORSE * min(best.rms.refit, best.rms.nominal):
+    if found.chosen != lines and best.left() > _WORSE * best.rms.without_causes:
         found = Search(settle(plain, lines) if lines else plain, (), lines)
         best = tried(*kept_parameters(found.fit, lines), found)
     if best.gain.low <= 0.0:

@@ -66,6 +66,11 @@ class Rms:
         return self._followed(self.offline if by_current else self.named)
 
     @property
+    def without_causes(self) -> float:
+        """What the parameters alone leave, or the configured drive if that is less."""
+        return min(self.refit, self.nominal)
+
+    @property
     def misfit(self) -> Misfit:
         """Residual less the wandering of causes over the noise, as fitted or as the model runs.
 

@@ -182,7 +182,7 @@ def sentence(answer: Answer) -> str:
         left = rms.by_causes(record.by_current) / ARCSEC
         parts.append(
             "held-out data are predicted no better with it than without "
-            f"({left:.2f} against {arcsec(min(rms.refit, rms.nominal))}): record more"
+            f"({left:.2f} against {arcsec(rms.without_causes)}): record more"
         )
     if record.size < record.extent.samples:
         samples = f"{record.size} of {record.extent.samples} samples"
