@@ -311,21 +311,57 @@ def test_what_slow_noise_does_is_no_drift_with_temperature(long: Record) -> None
         assert lasting(bench(part, record=rest), (), drift, (0.0,)) is lasts
 
 
+def counting(fit: LinearisedFit, output_step: float, input_step: float = 0.0) -> LinearisedFit:
+    """The same record by encoders that count [rad], with its noise."""
+    rounded = {
+        name: step * np.round(getattr(fit.data.source, name) / step)
+        for name, step in (("output_angle", output_step), ("input_angle", input_step))
+        if step
+    }
+    return linearise(dataclasses.replace(fit.data.source, **rounded), CONFIGURED, POINT).with_noise(())
+
+
 def test_what_counts_of_an_encoder_may_look_like_is_no_cause(plain: LinearisedFit) -> None:
-    record, step = plain.data.record, 6.0 * ARCSEC
-    counted = dataclasses.replace(record, output_angle=step * np.round(record.output_angle / step))
-    coarse = linearise(counted, CONFIGURED, POINT)
-    delay, ball = EFFECTS["stream_delay"], EFFECTS["bearing_passage"]
-    rounding = step / np.sqrt(12.0)
-    for effect, nonlinear in ((delay, ()), (ball, (0.45, 1.0))):
-        assert least_size(coarse, effect, nonlinear) == pytest.approx(0.5 * rounding, rel=0.01)
-    for fit, effect, nonlinear in (
-        (coarse, ball, (0.45, 0.0)),
-        (coarse, EFFECTS["torque_offset"], ()),
-        (plain, ball, (0.45, 1.0)),
-        (plain, delay, ()),
+    step, delay, ball = 6.0 * ARCSEC, EFFECTS["stream_delay"], EFFECTS["bearing_passage"]
+    coarse, motor = counting(plain, step), counting(plain, 0.0, RATIO * step)
+    half = pytest.approx(0.5 * step / np.sqrt(12.0), rel=0.01)
+    for fit, effect, nonlinear, least in (
+        (coarse, delay, (), half),
+        (motor, delay, (), half),
+        (motor, ball, (0.45, 1.0), half),
+        (coarse, ball, (0.45, 1.0), LEAST_SIZE),
+        (motor, ball, (0.45, 0.0), LEAST_SIZE),
+        (coarse, EFFECTS["torque_offset"], (), LEAST_SIZE),
+        (plain, ball, (0.45, 1.0), LEAST_SIZE),
+        (plain, delay, (), LEAST_SIZE),
     ):
-        assert least_size(fit, effect, nonlinear) == LEAST_SIZE
+        assert least_size(fit, effect, nonlinear) == least
+
+
+def turning(order: float, step: float) -> LinearisedFit:
+    """A constant speed at which the output's counts pass as often as samples but for a wave of some order."""
+    record = swinging(40.0)
+    speed = 200.0 * step * RATIO / (1.0 - order * step * RATIO / (2.0 * np.pi))
+    angle, torque = speed * record.time + 1e-3 * np.sin(record.time), 20.0 + 0.02 * record.torque
+    output = angle / RATIO + transmission_error(TRUE, angle, torque)
+    output += 0.1 * step * np.random.default_rng(2).standard_normal(record.size)
+    steady = dict.fromkeys(("torque", "reported_torque"), torque) | {"speed": np.full(record.size, speed)}
+    moved = dataclasses.replace(record, input_angle=angle, output_angle=output, **steady)
+    return linearise(moved, CONFIGURED, POINT)
+
+
+def test_a_line_that_the_counts_make_at_a_speed_that_stays_is_no_bearing() -> None:
+    """A bearing's of the same size is one, though both are less than half the rounding."""
+    ball, step, order = EFFECTS["bearing_passage"], 60.0 * ARCSEC, 9.7
+    for fit, is_one in (
+        (counting(turning(order, step), step), False),
+        (counting(bench(of(ball, amplitude=8.0 * ARCSEC, phase=0.3, order=order, slips=1.0)), step), True),
+    ):
+        best = ranked(fit, (), [ball])[0]
+        assert best.p_value < 1e-12
+        chosen = ((ball, (best.nonlinear[0], 1.0)),)
+        assert size(fit, (), *chosen[0]) < 0.5 * fit.data.counted
+        assert needed(fit, chosen) == (chosen if is_one else ())
 
 
 def test_a_loop_has_to_be_more_than_torsion_whose_torque_is_a_little_late(made: LinearisedFit) -> None:

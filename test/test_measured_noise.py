@@ -14,9 +14,9 @@ from hd_diag.diagnosis.measured_noise import (
     NEVER,
     MeasuredNoise,
     Revisits,
+    count_steps,
     measured_covariance,
     measured_noise,
-    of_counts,
 )
 
 
@@ -52,9 +52,10 @@ def test_counts_of_encoders(plain: LinearisedFit, output_bits: int, input_bits: 
         output_angle=steps[0] * np.rint(record.output_angle / steps[0]),
         input_angle=steps[1] * np.rint(record.input_angle / steps[1]),
     )
-    expected = np.hypot(steps[0], steps[1] / RATIO) / np.sqrt(12.0)
-    assert of_counts(counted, RATIO) == pytest.approx(float(expected), rel=0.05)
-    assert of_counts(record, RATIO) == 0.0
+    assert count_steps(counted, RATIO) == pytest.approx((steps[1] / RATIO, steps[0]), rel=0.05, abs=5e-7)
+    assert count_steps(record, RATIO) == (0.0, 0.0)
+    rounding = np.hypot(steps[0], steps[1] / RATIO) / np.sqrt(12.0)
+    assert linearise(counted, CONFIGURED, POINT).data.counted == pytest.approx(float(rounding), rel=0.05)
 
 
 @pytest.mark.parametrize("family", noise.FAMILIES)

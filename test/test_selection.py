@@ -22,16 +22,15 @@ from hd_diag.diagnosis.gain import MISFIT, Rms, held_out
 from hd_diag.diagnosis.record import prepare
 from hd_diag.diagnosis.search.causes import Search, causes, doubted, left_out, motor_deviations, parameters_of
 from hd_diag.diagnosis.search.kept_parameters import GROUPS, Kept, kept_parameters
+from hd_diag.diagnosis.search.minima import globally_refitted, speed_dependent
 from hd_diag.diagnosis.search.ranking import candidates, family_size, ranked
 from hd_diag.diagnosis.search.selection import (
     _next,
     _plainly_better,
     _ranked_when_settled,
-    _refitted,
     _when_settled,
     _with_torque_zero,
     search,
-    speed_dependent,
 )
 from hd_diag.diagnosis.search.unexplained import with_table
 from hd_diag.diagnosis.search.unmodelled_terms import UNMODELLED_TERMS
@@ -72,7 +71,7 @@ def test_parameters_are_searched_for_again_under_the_torque_that_friction_leaves
     rubbing = dataclasses.replace(record, output_angle=output)
     fit = linearise(rubbing, CONFIGURED, fit_parameters.vector(CONFIGURED, CONFIGURED)).with_noise(())
     chosen = ((dry, (0.003, 1.0, 0.5, 3.0)),)
-    found = _refitted(fit, chosen, np.random.default_rng(0))
+    found = globally_refitted(fit, chosen, np.random.default_rng(0))
     assert found.parameters[DATUM] == pytest.approx(POINT[DATUM], abs=2.0)
     assert found.parameters[:2] == pytest.approx(POINT[:2], abs=0.3)
 

@@ -27,12 +27,14 @@ from hd_diag.diagnosis.search.kept_parameters import (
     DISPLACEMENTS,
     GROUPS,
     Kept,
+    is_displaced,
     keeping,
     kept_parameters,
     likelier,
 )
+from hd_diag.diagnosis.search.minima import is_only_minimum
 from hd_diag.diagnosis.search.order_table import OrderRow
-from hd_diag.diagnosis.search.selection import is_only_minimum, search
+from hd_diag.diagnosis.search.selection import search
 from hd_diag.diagnosis.search.unexplained import Unexplained, unexplained, with_table
 from hd_diag.diagnosis.search.unmodelled_terms import OutputLine, UnmodelledTerm
 from hd_diag.diagnosis.work import Work
@@ -257,6 +259,8 @@ def _predicting(
     if best.rms.misfit.suspected:  # too much may be held
         for held in dict.fromkeys((DISPLACEMENTS.intersection(kept.bounds), frozenset[str]())):
             freed, there = kept.bounds.keys() - held, keeping(found.fit, found.chosen, held)
+            if freed & DISPLACEMENTS and not is_displaced(found.fit, found.chosen):
+                continue
             if freed and likelier(there[0], fit, found.chosen, freed):
                 freer = tried(*there, found)
                 if not freer.rms.misfit.suspected:

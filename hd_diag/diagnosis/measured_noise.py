@@ -87,7 +87,7 @@ def measured_noise(
 ) -> MeasuredNoise:
     """Noise of a residual (n,) [rad]; an error of the model is the same in the same state and drops out.
 
-    Times are in s, a run has no gap; what encoders that count leave is `counted` [rad], of :func:`of_counts`.
+    Times are in s, a run has no gap; what encoders that count leave is `counted` [rad].
 
     Notes
     -----
@@ -194,10 +194,14 @@ def _quick(values: Floats, time: Floats, run: Integers) -> float:
     return float(np.sqrt(rest @ rest / max(values.size - count.size, 1)))
 
 
-def of_counts(record: Record, ratio: float) -> float:
-    """Rms of the rounding of both encoders to their counts, at the output [rad]."""
-    steps = _step(record.output_angle, record.run), _step(record.input_angle, record.run) / abs(ratio)
-    return math.hypot(*steps) / math.sqrt(12.0)
+def count_steps(record: Record, ratio: float) -> tuple[float, float]:
+    """Steps of the input's encoder, at the output, and of the output's [rad]; 0 where none is found."""
+    return _step(record.input_angle, record.run) / abs(ratio), _step(record.output_angle, record.run)
+
+
+def rounding(step: float) -> float:
+    """Rms of what rounding to steps leaves [rad]."""
+    return step / math.sqrt(12.0)
 
 
 def _step(angle: Floats, run: Integers) -> float:

@@ -27,7 +27,7 @@ from hd_diag.formatting import ARCSEC
 _TORQUE_SIGN = "torque_sign"  # name of the finding after which the torque's sign is turned
 _NO_ERROR = 1e-7  # [rad]; a tenth of what an encoder of 26 bits can tell
 _REPEATED = 0.05  # share of the rows of a moving joint
-_OUT_OF_STEP = 0.01  # [s]; less is a cause of the catalogue
+_OUT_OF_STEP = 0.012  # [s]; less is a cause of the catalogue, which is found by a fit that knows the gear
 _MOST_LEFT = 0.3  # of the error beside torque and angle, where the speed explains it
 _MOST_ROWS = 4000
 _GRID = 20_001  # moments of a recording

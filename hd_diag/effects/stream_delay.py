@@ -40,48 +40,53 @@ class StreamDelay(Effect):
         result = self.columns(signals, nonlinear) @ coefficients
         if delay > 0.0 and time.size >= _POINTS:
             then = signals.time - delay
-            after = np.searchsorted(time, then)
-            known = (then >= time[0]) & (after >= _POINTS - 1)
-            result[known] = _between(time, angle, after[known], then[known]) - now[known]
+            known = (then >= time[0]) & (np.searchsorted(time, then) >= _POINTS - 1)
+            points, weights = _between(time, then[known])
+            result[known] = np.sum(weights * angle[points], axis=1) - now[known]
         kept = max(int(np.searchsorted(time, time[-1] - max(delay, 0.0))) - _POINTS, 0) if time.size else 0
         return np.asarray(result), (time[kept:], angle[kept:])
 
     def carry(self, signals: Signals, added: Floats, coefficients: Floats, nonlinear: Values) -> Floats:
-        """Late by the delay, straight between samples; see :meth:`Effect.carry`."""
+        """Late by the delay; see :meth:`Effect.carry`."""
         delay = float(coefficients[0])
         kept = signals.kept.get("stream_delay")
         if kept is None or kept[0] != delay:  # of many calls with one delay
-            kept = signals.kept["stream_delay"] = delay, *_straight(signals, delay)
-        _, low, share = kept
-        before = added.take(low, axis=0)
-        return np.asarray(
-            before - added + share[:, None] * (added.take(low + 1, axis=0, mode="clip") - before)
-        )
+            kept = signals.kept["stream_delay"] = delay, *_late(signals, delay)
+        _, points, weights = kept
+        result = -added
+        for place, weight in zip(points.T, weights.T, strict=True):
+            result += weight[:, None] * added.take(place, axis=0)
+        return np.asarray(result)
 
 
-def _straight(signals: Signals, delay: float) -> tuple[Integers, Floats]:
-    """Sample before the moment a delay ago, and the share of the next one, within every run; (n,) each."""
-    low, share = np.zeros(signals.size, dtype=np.int64), np.zeros(signals.size)
+def _late(signals: Signals, delay: float) -> tuple[Integers, Floats]:
+    """Rows that each row is interpolated from a delay ago, within its run, and their weights; (n, k) each.
+
+    What was before a run is as at its begin; too short a run is not late.
+    """
+    points = np.repeat(np.arange(signals.size)[:, None], _POINTS, axis=1)
+    weights = np.full(points.shape, 1.0 / _POINTS)
     for run in signals.runs():
         time = signals.time[run]
-        then = np.clip(time - delay, time[0], time[-1])
-        first = np.clip(np.searchsorted(time, then, side="right") - 1, 0, max(time.size - 2, 0))
-        low[run] = run.start + first
-        if time.size > 1:
-            step = time[first + 1] - time[first]
-            share[run] = np.where(step > 0.0, (then - time[first]) / np.where(step > 0.0, step, 1.0), 0.0)
-    return low, share
+        if time.size >= _POINTS:
+            own, weights[run] = _between(time, np.clip(time - delay, time[0], time[-1]))
+            points[run] = run.start + own
+    return points, weights
 
 
-def _between(time: Floats, values: Floats, after: Integers, at: Floats) -> Floats:
-    """Polynomial through a sample not before a moment and those before it (Lagrange)."""
+def _between(time: Floats, at: Floats) -> tuple[Integers, Floats]:
+    """Numbers of samples about moments, one not before and those before it, and weights; (n, k) each.
+
+    Of the polynomial through them (Lagrange).
+    """
+    after = np.clip(np.searchsorted(time, at), _POINTS - 1, time.size - 1)
     points = after[:, None] + np.arange(1 - _POINTS, 1)
-    place, result = time[points] - at[:, None], np.zeros(at.size)
+    place, weights = time[points] - at[:, None], np.ones(points.shape)
     for one in range(_POINTS):
-        others = [other for other in range(_POINTS) if other != one]
-        share = np.prod([place[:, o] / (place[:, o] - place[:, one]) for o in others], axis=0)
-        result += share * values[points[:, one]]
-    return result
+        for other in range(_POINTS):
+            if other != one:
+                weights[:, one] *= place[:, other] / (place[:, other] - place[:, one])
+    return points, weights
 
 
 EFFECT = StreamDelay(

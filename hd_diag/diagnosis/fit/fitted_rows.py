@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -16,10 +17,11 @@ from hd_diag.diagnosis.measured_noise import (
     NEVER,
     MeasuredNoise,
     Revisits,
+    count_steps,
     measured_covariance,
     measured_noise,
-    of_counts,
     revisits,
+    rounding,
 )
 from hd_diag.diagnosis.noise import Whitening, whitening, whitening_of
 from hd_diag.diagnosis.record import Record
@@ -133,9 +135,14 @@ class FittedRows:
         return revisits(self._motion) if self.record.has_torque else NEVER
 
     @cached_property
+    def count_steps(self) -> tuple[float, float]:
+        """Steps of the input's encoder, at the output, and of the output's [rad]; see :func:`count_steps`."""
+        return count_steps(self.record, self.configured.kinematics.ratio)
+
+    @property
     def counted(self) -> float:
         """Rms of the rounding of both encoders to their counts [rad]."""
-        return of_counts(self.record, self.configured.kinematics.ratio)
+        return rounding(math.hypot(*self.count_steps))
 
     def noise_of(self, residual: Floats) -> MeasuredNoise:
         """Noise of a residual of the fitted rows [rad], shape (n,), whatever misfit is in it."""
@@ -170,13 +177,12 @@ class FittedRows:
         return self._grids[effect.name]
 
     def grid_step(self, effect: Effect, point: Values) -> Floats:
-        """Distance from a grid point to the next, in each nonlinear value."""
+        """Distance from a grid point to the next, in each nonlinear value; a usual size where all are one."""
         grid = np.array([*self.grid(effect), point])
         away = np.abs(grid - np.array(point))
         steps = [np.min(column[column > 0.0], initial=np.inf) for column in away.T]
-        return np.array(
-            [s if np.isfinite(s) else 0.1 * max(abs(p), 1e-3) for s, p in zip(steps, point, strict=True)]
-        )
+        usual = [quantity.prior_scale for quantity in effect.nonlinear]
+        return np.array([s if np.isfinite(s) else one for s, one in zip(steps, usual, strict=True)])
 
     @cached_property
     def smooth(self) -> Floats:

@@ -123,13 +123,16 @@ class PresentEffects:
         """
         if isinstance(effect, MeshTorque):
             return self._torques.beside(effect, nonlinear, coefficients).take(self.data.at)
-        if (own := effect.size) < coefficients.size and effect.stage > Stage.NOWHERE:
-            wandering = effect.wandering(self.whole, nonlinear).take(self.data.at, axis=0)
-            return self.full_size(effect, nonlinear, coefficients[:own]) + wandering @ coefficients[own:]
-        if effect.remembers or effect.stage > Stage.GEAR:
-            found = effect.response(self._seen(effect.stage), coefficients, nonlinear).take(self.data.at)
-        else:
-            found = effect.response(self._there(effect, self._borne), coefficients, nonlinear)
+        if effect.remembers or effect.stage > Stage.GEAR or effect.wanders(nonlinear):
+            return self._of_all_rows(effect, nonlinear, coefficients).take(self.data.at)
+        return np.nan_to_num(effect.response(self._there(effect, self._borne), coefficients, nonlinear))
+
+    def _of_all_rows(self, effect: Effect, nonlinear: Values, coefficients: Floats) -> Floats:
+        """The same at all rows, of what is no torque."""
+        own = effect.size if effect.wanders(nonlinear) else coefficients.size
+        found = effect.response(self._seen(effect.stage), coefficients[:own], nonlinear)
+        if own < coefficients.size:
+            found = found + effect.wandering(self.whole, nonlinear) @ coefficients[own:]
         return np.nan_to_num(found)
 
     @cached_property
@@ -237,9 +240,9 @@ class PresentEffects:
             return self._borne
         if stage not in self._behind:
             parts = [
-                (e, np.nan_to_num(e.response(self._seen(e.stage), coefficients[: e.size], nonlinear)))
-                for (e, nonlinear), coefficients in self._before
-                if Stage.TORQUE < e.stage < stage
+                (item[0], self._of_all_rows(*item, coefficients))
+                for item, coefficients in self._before
+                if Stage.TORQUE < item[0].stage < stage
             ]
             self._behind[stage] = seen_at(stage, self._borne, parts, self.data.model.rate)
         return self._behind[stage]

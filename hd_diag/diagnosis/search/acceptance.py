@@ -9,6 +9,7 @@ from hd_diag.diagnosis.fit.design import f_test, holds, projection, solve, surpr
 from hd_diag.diagnosis.fit.joint_refinement import sensible, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.present_effects import Item
+from hd_diag.diagnosis.measured_noise import rounding
 from hd_diag.diagnosis.noise import numbered
 from hd_diag.diagnosis.search.ranking import Candidate, family_size, ranked
 from hd_diag.diagnosis.search.unmodelled_terms import UnmodelledTerm
@@ -34,6 +35,7 @@ _STAYING = 0.8  # share of an effect that these must leave of it, for it to be a
 _CYCLES = 3.0  # samples by which torque and angles may be out of step
 _SMOOTHED = 1.5  # deviations of the smoothed torque by its noise, that its error may have
 _ROUNDED = 0.5  # of the rounding to counts, that may look like a delay or a wave
+_MOST = 0.5  # of what a wave brings, that it must bring beside that of the counts, too
 _OWN = 0.1  # of what an effect brings, that it must bring beside parameters free of their bounds, too
 _CERTAIN_SIZE = 0.5 * ARCSEC  # of a shape that nothing held out can prove [rad rms]
 _SECONDS = 2.5  # of a mean in which quick noise is gone
@@ -174,11 +176,14 @@ def least_size(fit: LinearisedFit, effect: Effect, nonlinear: tuple[float, ...])
     """Size that an effect has to have in the end [rad rms].
 
     Rounding to counts is no noise where an encoder hardly moves: it looks like a delay; nor at a speed that
-    comes back: there it is a sawtooth of some order, whose phase slips. Torsion by a late torque is a loop;
-    and what smoothing left of the torque's noise, or cut of its corners, a loop may filter as well.
+    comes back: there the input's, of which no wave is known as of the output's, is a line whose phase slips.
+    Torsion by a late torque is a loop; and what smoothing left of the torque's noise, or cut of its corners,
+    a loop may filter as well.
     """
-    if effect.stage == Stage.STREAM or effect.wanders(nonlinear):
+    if effect.stage == Stage.STREAM:
         return max(LEAST_SIZE, _ROUNDED * fit.data.counted)
+    if effect.wanders(nonlinear):
+        return max(LEAST_SIZE, _ROUNDED * rounding(fit.data.count_steps[0]))
     if effect.name != "hysteresis":
         return LEAST_SIZE
     whole, at = fit.whole, fit.data.at
@@ -202,10 +207,26 @@ def needed(fit: LinearisedFit, chosen: Chosen) -> Chosen:
             continue
         gain, predicted = held_out_gain(fit, chosen, index)
         itself = sensible(fit, chosen)[index] and not _beyond_bounds(fit, chosen, rest, gain)
+        itself = itself and not (effect.wanders(nonlinear) and _rounded(fit, chosen, rest))
         certain = itself and holds(gain, predicted) and chance(fit, chosen, index) <= FAMILY_ERROR
         if small or not certain:
             return needed(fit, rest)
     return chosen
+
+
+def _rounded(fit: LinearisedFit, chosen: Chosen, rest: Chosen) -> bool:
+    """Whether rounding to the output's counts explains most of what the rest does not.
+
+    Beside noise its mean is a wave of the angle that is rounded, of one period a count (Widrow, Kollar and
+    Liu, IEEE Trans. Instrum. Meas. 45(2), 1996); at a speed that comes back that is a line of some order.
+    """
+    step = fit.data.count_steps[1]
+    if not step:
+        return False
+    phase = 2.0 * np.pi / step * (fit.data.record.output_angle - fit.remainder(rest))
+    wave = np.column_stack((np.cos(phase), np.sin(phase)))
+    beside = fit.deviance(rest, wave) - fit.deviance(chosen, wave)
+    return beside < _MOST * (fit.deviance(rest) - fit.deviance(chosen))
 
 
 def _beyond_bounds(fit: LinearisedFit, chosen: Chosen, rest: Chosen, gain: Floats) -> bool:

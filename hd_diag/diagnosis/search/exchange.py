@@ -18,6 +18,7 @@ from hd_diag.effects.effect import Effect, Stage
 
 _FLEXIBLE = 8  # coefficients from which a shape may imitate two causes
 _TRIED = 3  # best causes of few coefficients, that are tried settled in its place
+_NEAR = 0.1  # of a cause's gain, up to which another may be the better one once all is settled beside it
 _FIRST_MOVE = 0.5  # of a grid step, by which a refinement begins
 _BEGIN, _TO_THE_END = 2, 8  # rounds
 _AS_WELL, _HALVINGS = 3.84, 8  # deviance within which 95 % of true values lie; of the way to a usual one
@@ -59,19 +60,24 @@ def swapped(fit: LinearisedFit, chosen: Chosen, rivals: set[str]) -> tuple[Linea
             continue
         without, itself, others = left_out(fit, chosen, index)
         again = (*others, (effect, nonlinear))
-        least = min(_priced(fit, chosen), _priced(itself, again)) - CLASS_DEVIANCE
+        now = min(_priced(fit, chosen), _priced(itself, again))
         found = ranked(without, others, by_name(fit, rivals))
         if not found:
             continue
-        trial, there = (*others, (found[0].effect, found[0].nonlinear)), without
+        least = now - CLASS_DEVIANCE
         if _coefficients(fit, (chosen[index],)) >= _FLEXIBLE and found[0].effect.name == effect.name:
             lines = OUTPUT_LINES if effect.wanders(nonlinear) else ()
             there, trial = _few_in_place_of_one(without, others, rivals - {effect.name}, lines, least)
-        there = there.corrected(trial)
-        if trial != again and _priced(there, trial) < least:
-            fit, there = _settled(fit, chosen), _settled(there, trial)
-            if _priced(there, trial) < _priced(fit, chosen) - CLASS_DEVIANCE:
-                fit, chosen = refined(there, trial)
+        else:
+            near = now + _NEAR * (without.deviance(others) - now)
+            trials = [(*others, (one.effect, one.nonlinear)) for one in found[:_TRIED]]
+            trials = [one for one in trials if one != again and _priced(without.corrected(one), one) < near]
+            if not trials:
+                continue
+            there, trial = _best_begun(without, trials)
+        fit, there = _settled(fit, chosen), _settled(there, trial)
+        if _priced(there, trial) < _priced(fit, chosen) - CLASS_DEVIANCE:
+            fit, chosen = refined(there, trial)
     return fit, chosen
 
 
@@ -86,8 +92,8 @@ def _priced(fit: LinearisedFit, chosen: Chosen) -> float:
 
 
 def _coefficients(fit: LinearisedFit, chosen: Chosen) -> int:
-    """Number of those of some effects, of their wandering as well."""
-    return sum(fit.columns(*item).shape[1] for item in chosen)
+    """Number of those of some effects, of their wandering as well; of some values columns are zero."""
+    return sum(int(np.count_nonzero(fit.columns(*item).any(axis=0))) for item in chosen)
 
 
 def _few_in_place_of_one(
@@ -102,12 +108,17 @@ def _few_in_place_of_one(
         few = [trial for trial in trials if _coefficients(fit, trial[-1:]) < _FLEXIBLE][:_TRIED]
         if not few:
             break
-        begun = [(settle(fit.corrected(trial), trial, _BEGIN, learn=False), trial) for trial in few]
-        fit, others = min(begun, key=lambda one: _priced(*one))
+        fit, others = _best_begun(fit, few)
         fit = _settled(fit, others)
         if _priced(fit, others) < least:
             break
     return fit, others
+
+
+def _best_begun(fit: LinearisedFit, trials: Sequence[Chosen]) -> tuple[LinearisedFit, Chosen]:
+    """The best of some sets of effects after a few rounds of settling, and the fit there."""
+    begun = [(settle(fit.corrected(trial), trial, _BEGIN, learn=False), trial) for trial in trials]
+    return min(begun, key=lambda one: _priced(*one))
 
 
 def finished_in_time(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
@@ -120,9 +131,7 @@ def finished_in_time(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit,
 def _finished(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
     """Everything at its best; discrete values are tried once more beside all others."""
     fit, chosen = polished(fit, chosen)
-    again = chosen
-    for index in range(len(chosen)):
-        again = _best_neighbours(fit, again, index)
+    again = at_best_choices(fit, chosen)
     if again != chosen:
         fit, chosen = polished(settle(fit.corrected(again), again, learn=False), again)
     drawn = _drawn_back(fit, chosen)
@@ -150,14 +159,26 @@ def _drawn_back(fit: LinearisedFit, chosen: Chosen) -> Chosen:
     return chosen
 
 
+def at_best_choices(fit: LinearisedFit, chosen: Chosen) -> Chosen:
+    """The chosen effects, each at the best of the discrete values beside its own, if it is itself there."""
+    for index in range(len(chosen)):
+        chosen = _best_neighbours(fit, chosen, index)
+    return chosen
+
+
 def _best_neighbours(fit: LinearisedFit, chosen: Chosen, index: int) -> Chosen:
-    """The chosen effects, one of them at the best of the discrete values beside its own."""
+    """The same with one of them."""
     effect, nonlinear = chosen[index]
     trials = [
         (*chosen[:index], (effect, value), *chosen[index + 1 :])
         for value in effect.neighbours(fit.signals, nonlinear)
     ]
-    return min((chosen, *trials), key=lambda trial: deviance_of(fit, trial))
+
+    def worse(trial: Chosen) -> tuple[bool, float]:
+        there = fit.corrected(trial)
+        return not sensible(there, trial)[index], _priced(there, trial)
+
+    return min((chosen, *trials), key=worse)
 
 
 def _without_idle(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
@@ -191,7 +212,7 @@ def best_nonlinear(
     fit: LinearisedFit, others: Chosen, effect: Effect, start: tuple[float, ...]
 ) -> tuple[float, ...]:
     """Nonlinear values of least residual within the effect's bounds, starting at a grid point."""
-    projector = Projector(fit, others)
+    projector = Projector(fit, others, ((effect, start),))
     quantities, moving = effect.nonlinear, free(effect)
     low, high = np.array([q.low for q in quantities]), np.array([q.high for q in quantities])
     width = fit.data.grid_step(effect, start)

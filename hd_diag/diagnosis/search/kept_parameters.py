@@ -127,10 +127,14 @@ def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, 
     if not doubtful:
         return fit, Kept(_bounds(fit, chosen, undetermined), rivals[1:])
     best, held = fit, list[str]()
+    if not is_displaced(fit, chosen):
+        held = [name for name in certain if name in DISPLACEMENTS]
+        best = _trial(best, chosen, held)
+    doubtful = [name for name in doubtful if name not in held]
     one_by_one = [[name] for name in sorted(doubtful, key=certain.__getitem__)]
     for more in (doubtful, *(one_by_one if len(doubtful) > 1 else ())):
         names = [*held, *more]
-        if held == doubtful or _certainty(away, spread, names) > _PLAIN:
+        if set(held) >= set(doubtful) or _certainty(away, spread, names) > _PLAIN:
             continue
         if (trial := _held(best, chosen, names)) is not None:
             best, held = trial, names
@@ -149,6 +153,11 @@ def keeping(fit: LinearisedFit, chosen: Chosen, names: Collection[str]) -> tuple
         return fit, Kept({})
     trial = _trial(fit, chosen, [*names])
     return trial, Kept(_bounds(fit, chosen, [*names]))
+
+
+def is_displaced(fit: LinearisedFit, chosen: Chosen) -> bool:
+    """Whether there is an eccentricity by itself: without one a runout explains only what it is not."""
+    return _eccentric(fit) or _certainty(*_away(fit, chosen), ["eccentricity"]) > _NOISE["eccentricity"]
 
 
 def _undisplaced(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, list[Floats]]:

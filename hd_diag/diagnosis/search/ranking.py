@@ -33,13 +33,13 @@ class Projector:
     """Projects whitened columns off the model, the encoders' offset and the chosen effects.
 
     Their prior stands below the samples, a row for each, and what a fit puts on a bound stays there: what
-    only unheard-of values could imitate remains.
+    only unheard-of values could imitate remains. It is a fit with effects `beside` the chosen ones that does.
     """
 
-    def __init__(self, fit: LinearisedFit, chosen: Chosen) -> None:
+    def __init__(self, fit: LinearisedFit, chosen: Chosen, beside: Chosen = ()) -> None:
         parts = [fit.always_white, *(fit.white(effect, nonlinear) for effect, nonlinear in chosen)]
         fixed = np.concatenate(parts, axis=1)
-        held, steps = fit.on_bounds(chosen)
+        held, steps = fit.on_bounds((*chosen, *beside))
         target = fit.residual_white - fixed[:, held] @ steps
         precision, pull = fit.prior(chosen)
         fixed[:, held], precision[held] = 0.0, 0.0
@@ -109,17 +109,23 @@ def ranked(fit: LinearisedFit, chosen: Chosen, effects: Sequence[Effect]) -> lis
                 gain = float(moment @ coefficients)
                 points.append(_candidate(fit, projector, effect, nonlinear, gain))
         if points:
-            found.append(max(points, key=lambda point: point.surprise))
-    near = _NEAR * max((one.gain for one in found), default=0.0)
-    for index, one in enumerate(found):
+            found.append(sorted(points, key=_by_surprise))
+    near = _NEAR * max((points[0].gain for points in found), default=0.0)
+    best = []
+    for points in found:
+        one = points[0]
         if one.surprise > _LOOKED_AT and one.gain > near:
             if one.effect.proportional and not one.effect.own_slopes:
-                gain = min(_gain_within_bounds(fit, chosen, one), one.gain)
-            else:
-                gain = max(_gain_at_size(fit, projector, one), one.gain)
-            if gain != one.gain:
-                found[index] = _candidate(fit, projector, one.effect, one.nonlinear, gain)
-    return sorted(found, key=lambda candidate: -candidate.surprise)
+                one = _best_within_bounds(fit, chosen, projector, points)
+            elif (gain := _gain_at_size(fit, projector, one)) > one.gain:
+                one = _candidate(fit, projector, one.effect, one.nonlinear, gain)
+        best.append(one)
+    return sorted(best, key=_by_surprise)
+
+
+def _by_surprise(candidate: Candidate) -> float:
+    """The most surprising comes first."""
+    return -candidate.surprise
 
 
 def competes(fit: LinearisedFit, effect: Effect) -> bool:
@@ -140,10 +146,22 @@ def _candidate(
     return Candidate(effect, nonlinear, gain, p, surprise(gain / noise, width))
 
 
-def _gain_within_bounds(fit: LinearisedFit, chosen: Chosen, candidate: Candidate) -> float:
-    """Gain beside parameters within their bounds: beyond them they imitate what no drive does."""
-    trial = (*chosen, (candidate.effect, candidate.nonlinear))
-    return max(fit.deviance(chosen) - fit.deviance(trial), 0.0)
+def _best_within_bounds(
+    fit: LinearisedFit, chosen: Chosen, projector: Projector, points: list[Candidate]
+) -> Candidate:
+    """The best point, the most surprising first, beside parameters within their bounds.
+
+    Beyond them they imitate what no drive does; no gain is larger within.
+    """
+    best: list[Candidate] = []
+    for one in points:
+        if best and best[0].surprise >= one.surprise:
+            break
+        trial = (*chosen, (one.effect, one.nonlinear))
+        gain = max(fit.deviance(chosen) - fit.deviance(trial), 0.0)
+        best.append(_candidate(fit, projector, *trial[-1], gain) if gain < one.gain else one)
+        best.sort(key=_by_surprise)
+    return best[0]
 
 
 def _gain_at_size(fit: LinearisedFit, projector: Projector, candidate: Candidate) -> float:

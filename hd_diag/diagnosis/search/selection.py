@@ -12,16 +12,23 @@ from hd_diag.diagnosis.fit.design import f_test, surprise
 from hd_diag.diagnosis.fit.fit_parameters import COUNT, at_bound
 from hd_diag.diagnosis.fit.joint_refinement import free, polished, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
-from hd_diag.diagnosis.fit.refit import FEW_STARTS, Refit, distinct, refit
+from hd_diag.diagnosis.fit.refit import Refit, distinct
 from hd_diag.diagnosis.search.acceptance import FAMILY_ERROR, beside_another, by_chance, needed, passing
 from hd_diag.diagnosis.search.causes import Search, causes, plain_gain
 from hd_diag.diagnosis.search.exchange import (
+    at_best_choices,
     best_nonlinear,
     deviance_of,
     finished_in_time,
     on_certain_rows,
     refined,
     swapped,
+)
+from hd_diag.diagnosis.search.minima import (
+    globally_refitted,
+    refitted_at_low_speed,
+    restarted,
+    speed_dependent,
 )
 from hd_diag.diagnosis.search.ranking import Candidate, Projector, by_name, candidates, family_size, ranked
 from hd_diag.diagnosis.search.unmodelled_terms import (
@@ -35,10 +42,8 @@ FURTHER_CAUSES = "looking for further causes"
 """What is left out where the search has no more time."""
 
 _MOST_CAUSES = 4
-_SLOW = 0.34  # share of the samples that count as slow
 _MOST_TERMS = 3  # unmodelled, beside lines of the output's turn
 _RIVALS = 6  # best candidates of a round that are tried later in place of others
-_UNEVEN = 1.3  # ratio of the residual at high and low speed from which both are fitted apart
 _AS_MUCH = 0.9  # share of the best candidate's gain from which another is tried with all settled
 _MISLED = 0.3  # the same where the parameters are those of another drive for certain
 _HALF = 0.5  # the same for candidates beside which the parameters are those of another drive
@@ -51,7 +56,6 @@ _ZERO = "torque_offset"
 _TURNED = 0.01  # share of the torques that another zero must put on the other flank
 _PLAINLY = 10.0  # surprise by which an unmodelled term must beat all causes to come before them
 _RESOLVED = 5.0  # surprise by which a wave of any order must beat a whole number per output turn
-_RESTART_GAIN = 12.0  # deviance by which another minimum must beat the present one
 _SEARCHED = 0.45  # of the time that a diagnosis may take, by which it must end
 _FIRST, _LAST = 0.15, 0.63  # of the time it takes, that are gone when the search begins and ends
 _ROUND = 0.45  # of what is left of the search, after each round
@@ -80,7 +84,7 @@ def search(
             fit, chosen = now
     work.tell(_LAST, "refining what was found")
     fit = fit.recentred()
-    chosen = needed(fit, chosen)
+    chosen = needed(fit, at_best_choices(fit, chosen))
     fit, chosen = finished_in_time(settle(fit, chosen), chosen)
     if (fewer := needed(fit, chosen)) != chosen:
         fit, chosen = finished_in_time(settle(fit, fewer), fewer)
@@ -112,7 +116,7 @@ def _rounds(
             fit, best = turned
         else:
             if not chosen and speed_dependent(fit):
-                fit, best = _refitted_at_low_speed(fit, best, rng)
+                fit, best = refitted_at_low_speed(fit, best, rng)
             fit, best = _ranked_when_settled(fit, chosen, best, rng, begun.parameters if begun else None)
         rivals |= {candidate.effect.name for candidate in best[:_RIVALS]}
         found = _next(fit, chosen, family, best, refused)
@@ -134,16 +138,10 @@ def _rounds(
         yield fit, chosen
         fit, chosen = swapped(fit, chosen, rivals)
         if len(chosen) <= _RESTARTS:
-            fit = _restarted(fit, chosen, rng)
+            again = restarted(fit, chosen, rng)
+            if again is not fit:  # beside other parameters another cause may be the better one
+                fit, chosen = swapped(again, chosen, rivals)
         yield fit, chosen
-
-
-def speed_dependent(fit: LinearisedFit) -> bool:
-    """Whether the residual differs between high and low speed."""
-    speed, rest = np.abs(fit.signals.speed), fit.remainder(())
-    slow, fast = np.quantile(speed, (_SLOW, 1.0 - _SLOW))
-    ratio = np.std(rest[speed >= fast]) / max(float(np.std(rest[speed <= slow])), 1e-300)
-    return bool(slow < 0.5 * fast and not 1.0 / _UNEVEN < ratio < _UNEVEN)
 
 
 def _next(
@@ -223,7 +221,7 @@ def _ranked_when_settled(
     far = before - max((one.gain for one in best), default=0.0) > _FAR * rows
     moved = begun is not None and bool(distinct([fit.parameters, begun])[1:])
     large = bool(best) and best[0].gain > _LARGE * rows
-    misled = not chosen and large and (far or moved or bool(at_bound(fit.parameters, fit.data.configured)))
+    misled = large and (far or moved or bool(at_bound(fit.parameters, fit.data.configured)))
     share = _MISLED if misled else _AS_MUCH if far else _HALF
     plain = [one for one in best if one.surprise > _PLAINLY]
     hidden = _imitated_by_parameters(fit, chosen, plain)
@@ -237,7 +235,7 @@ def _ranked_when_settled(
 
     def settled(candidate: Candidate) -> tuple[float, LinearisedFit]:
         trial = (*chosen, (candidate.effect, candidate.nonlinear))
-        again = _refitted(fit, trial, rng).parameters if misled else fit.parameters
+        again = globally_refitted(fit, trial, rng).parameters if misled else fit.parameters
         other = fit.moved(again) if distinct([fit.parameters, again])[1:] else fit
         surprising, there = _when_settled(fit, chosen, candidate, other, rounds)
         return surprising, there if candidate in hidden else other
@@ -296,55 +294,3 @@ def _between_grid_points(fit: LinearisedFit, chosen: Chosen, candidate: Candidat
 
 def _count_named(chosen: Chosen) -> int:
     return sum(not (effect.given or isinstance(effect, UnmodelledTerm)) for effect, _ in chosen)
-
-
-def _refitted_at_low_speed(
-    fit: LinearisedFit, best: list[Candidate], rng: np.random.Generator
-) -> tuple[LinearisedFit, list[Candidate]]:
-    """Fit with the parameters of low speed, and its candidates, if the best of them explains more there.
-
-    A cause that changes the ripple with speed (a resonance) makes parameters fitted at all speeds wrong.
-    """
-    speed = np.abs(fit.data.record.speed)
-    slow = refit(fit.data.record.select(speed <= np.quantile(speed, _SLOW)), fit.data.configured, rng)
-    if not distinct([fit.parameters, slow.parameters])[1:]:
-        return fit, best
-    other = fit.moved(slow.parameters)
-    trials = ((fit, best), (other, candidates(other, ())))
-    here, there = (
-        each.deviance(tuple((one.effect, one.nonlinear) for one in found[:1])) for each, found in trials
-    )
-    return trials[there < here - _RESTART_GAIN]
-
-
-def _restarted(fit: LinearisedFit, chosen: Chosen, rng: np.random.Generator) -> LinearisedFit:
-    """Search the model's parameters globally again, now that the causes found take part freely.
-
-    Where even flexible columns explain no more than noise gives them, no other minimum can.
-    """
-    more = fit.flexible()
-    here = fit.deviance(chosen)
-    if here - fit.deviance(chosen, more) < more.shape[1] + _RESTART_GAIN:
-        return fit
-    again = _refitted(fit, chosen, rng)
-    if not distinct([fit.parameters, again.parameters])[1:]:
-        return fit
-    other = settle(fit.moved(again.parameters), chosen, rounds=2)
-    deviance = replace(other, whiten=fit.whiten).deviance(chosen)  # with one noise model
-    return other if deviance < here - _RESTART_GAIN else fit
-
-
-def is_only_minimum(fit: LinearisedFit, chosen: Chosen, rng: np.random.Generator) -> bool:
-    """Whether no other minimum of what is not held fits as well; the chosen effects take part freely."""
-    return _refitted(fit, chosen, rng).trustworthy
-
-
-def _refitted(fit: LinearisedFit, chosen: Chosen, rng: np.random.Generator) -> Refit:
-    """The model's parameters searched for globally, under the torque that the chosen effects leave.
-
-    What else these are takes part freely, and so does what their torque may be off by.
-    """
-    own, extra = fit.data, fit.joined(chosen)
-    more = fit.effects.torque(fit.sized(chosen, fit.fit(chosen)[0]))[own.at]
-    record = replace(own.record, torque=own.record.torque + more)
-    return refit(record, own.configured, rng, extra, fit.parameters, FEW_STARTS, held=fit.held)
