@@ -215,6 +215,17 @@ def test_an_input_encoder_far_off_its_centre_is_no_wrong_torque() -> None:
         assert finding is None
 
 
+def test_a_wrong_zero_of_the_torque_is_no_wrong_torque() -> None:
+    """It puts most torques of a joint that carries little on the other flank, 15 um of datum away."""
+    light = made("robot_pair", 4812)
+    given = (light.time, light.input_angle, light.output_angle, light.torque, light.temperature)
+    record = prepare(*given, light.part.astype(np.int64), RATIO)
+    assert (
+        without_misleading_torque(record, CONFIGURED, held_out(record)[0], np.random.default_rng(0))[1]
+        is None
+    )
+
+
 def test_a_record_without_torque_is_judged_in_the_gap_between_the_flanks() -> None:
     """At no torque the model has no compliance: nothing may overflow, and the misfit is said."""
     record = prepared({name: column for name, column in columns(seconds=6.0).items() if name != "torque"})
