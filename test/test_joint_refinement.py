@@ -152,3 +152,14 @@ def test_deviations_follow_the_scatter_of_blocks(case: Case) -> None:
     uneven.__dict__["residual"] = made.residual + 3e-5 * shape
     spread, (place,) = covariance(uneven, chosen)
     assert np.sqrt(spread[place[0], place[0]]) > 1.5 * plain[place[0]]
+
+
+@pytest.mark.parametrize("near", [0.99, 1.0, 1.01])
+def test_a_value_beside_that_of_a_grid_point_moves_as_far_as_any(near: float) -> None:
+    """The distance to that point would hold it there: a refinement would end beside every grid point."""
+    fit, loop = bench(), EFFECTS["hysteresis"]
+    sharpness = np.unique([point[1] for point in fit.data.grid(loop)])
+    steps = np.diff(sharpness)
+    found = fit.data.grid_step(loop, (9.0, near * sharpness[1], 2.0, 1.5))
+    assert found[1] in (steps[0], steps[1])
+    assert fit.data.grid_step(EFFECTS["resonance"], (1.0, 50.0, 0.07))[2] == 0.03

@@ -177,12 +177,15 @@ class FittedRows:
         return self._grids[effect.name]
 
     def grid_step(self, effect: Effect, point: Values) -> Floats:
-        """Distance from a grid point to the next, in each nonlinear value; a usual size where all are one."""
-        grid = np.array([*self.grid(effect), point])
-        away = np.abs(grid - np.array(point))
-        steps = [np.min(column[column > 0.0], initial=np.inf) for column in away.T]
-        usual = [quantity.prior_scale for quantity in effect.nonlinear]
-        return np.array([s if np.isfinite(s) else one for s, one in zip(steps, usual, strict=True)])
+        """Step of the grid about a point, in each nonlinear value; a usual size where all are one."""
+        found = []
+        for quantity, place, column in zip(
+            effect.nonlinear, point, zip(*self.grid(effect), strict=True), strict=True
+        ):
+            values = np.unique(column)
+            about = np.searchsorted(values[1:-1], place)
+            found.append(np.diff(values)[about] if values.size > 1 else quantity.prior_scale)
+        return np.array(found)
 
     @cached_property
     def smooth(self) -> Floats:
