@@ -238,7 +238,7 @@ def _ranked_when_settled(
         again = globally_refitted(fit, trial, rng).parameters if misled else fit.parameters
         other = fit.moved(again) if distinct([fit.parameters, again])[1:] else fit
         surprising, there = _when_settled(fit, chosen, candidate, other, rounds)
-        return surprising, there if candidate in hidden else other
+        return surprising, there if misled or candidate in hidden else fit
 
     trials = [(*settled(one), one) if one in close else (one.surprise, fit, one) for one in best]
     trials.sort(key=lambda trial: -trial[0])
