@@ -14,7 +14,7 @@ from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.refit import usable
 from hd_diag.diagnosis.gain import MISFIT
 from hd_diag.diagnosis.regression import centered, usual_laws
-from hd_diag.diagnosis.search.kept_parameters import GROUPS, TWO_SIDED
+from hd_diag.diagnosis.search.kept_parameters import DISPLACEMENTS, GROUPS, PLAIN, TWO_SIDED
 from hd_diag.formatting import ARCSEC, words
 
 Judgement = Literal["as_configured", "parameters", "causes", "described", "misfit", "not_judged"]
@@ -94,11 +94,18 @@ class Answer:
             return "described"
         return "parameters" if self.changes else "as_configured"
 
+    @property
+    def vague(self) -> bool:
+        """Whether hints stand beside what may be more than noise: a displacement not plain may be theirs."""
+        left = self.diagnosis.misfit
+        return bool(left and left.suspected and self.diagnosis.hints)
+
     @cached_property
     def changes(self) -> list[Change]:
         """Parameters that are not as configured, the one that changes the error most first.
 
-        No compliance where the torque is a motor's current: only its product with the constant shows.
+        No compliance where the torque is a motor's current: only its product with the constant shows. No
+        displacement that is not plain where all is vague.
         """
         found = self.diagnosis
         if found.refitted is None or not found.refitted.trustworthy:
@@ -110,7 +117,8 @@ class Answer:
                 continue
             entry = found.parameters[name if name in found.parameters else f"{name}.magnitude"]
             off = abs(entry["value"] - entry["configured"])
-            if off > _SIGMAS * entry["std"] and explains > least:
+            sigmas = math.sqrt(PLAIN) if self.vague and name in DISPLACEMENTS else _SIGMAS
+            if off > sigmas * entry["std"] and explains > least:
                 number = (entry["value"], entry["std"], entry["configured"], entry["unit"])
                 changed.append(Change(name, *number, explains))
         return sorted(changed, key=lambda change: -change.explains)

@@ -32,7 +32,9 @@ DISPLACEMENTS = frozenset(("eccentricity", "runout"))
 TWO_SIDED = 1.96
 """Standard deviations to either side of a value that make its 95 % interval."""
 
-_PLAIN = 1600.0  # square of standard deviations beyond which no test is needed
+PLAIN = 1600.0
+"""Square of standard deviations beyond which no test is needed."""
+
 _NOISE = {"eccentricity": 20.0, "runout": 20.0}  # fall of the likelihood that noise hardly ever brings
 _USUAL_NOISE = 6.0  # that of parameters of which a wrong value does no harm
 _PREDICTED = 0.5  # of that fall, in blocks held out
@@ -123,7 +125,7 @@ def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, 
     away, spread = _away(fit, chosen)
     undetermined = [name for name, numbers in GROUPS.items() if set(numbers) <= set(fit.data.held)]
     certain = {name: _certainty(away, spread, [name]) for name in GROUPS if name not in undetermined}
-    doubtful = [name for name in certain if certain[name] < _PLAIN]
+    doubtful = [name for name in certain if certain[name] < PLAIN]
     if not doubtful:
         return fit, Kept(_bounds(fit, chosen, undetermined), rivals[1:])
     best, held = fit, list[str]()
@@ -134,7 +136,7 @@ def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, 
     one_by_one = [[name] for name in sorted(doubtful, key=certain.__getitem__)]
     for more in (doubtful, *(one_by_one if len(doubtful) > 1 else ())):
         names = [*held, *more]
-        if set(held) >= set(doubtful) or _certainty(away, spread, names) > _PLAIN:
+        if set(held) >= set(doubtful) or _certainty(away, spread, names) > PLAIN:
             continue
         if (trial := _held(best, chosen, names)) is not None:
             best, held = trial, names
@@ -168,7 +170,7 @@ def _undisplaced(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, lis
     """
     away, spread = _away(fit, chosen)
     fits = [fit]
-    if _certainty(away, spread, ["eccentricity"]) <= _PLAIN:
+    if _certainty(away, spread, ["eccentricity"]) <= PLAIN:
         starts = _datums(fit.data.configured)
         fits += [settle(fit.moved(start), chosen, rounds=5, learn=False) for start in starts]
     fits.sort(key=lambda one: one.deviance(chosen))
