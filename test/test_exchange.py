@@ -8,7 +8,7 @@ from benches import EFFECTS, POINT, bench, of, swinging
 from joint_records import ARCSEC, NOISE
 
 from hd_diag.diagnosis.fit.joint_refinement import settle
-from hd_diag.diagnosis.search.exchange import deviance_of, finished_in_time, refined, swapped
+from hd_diag.diagnosis.search.exchange import at_best_choices, deviance_of, finished_in_time, refined, swapped
 from hd_diag.effects.signals import Signals
 
 
@@ -55,6 +55,15 @@ def test_a_cause_is_not_given_up_before_it_is_settled() -> None:
     found, same = swapped(fit, chosen, {rubbing.name, "circular_spline_pitch"})
     assert same == chosen
     assert np.abs(found.parameters - POINT).max() < 1.0
+
+
+def test_a_coupling_whose_play_would_be_negative_has_none() -> None:
+    """Friction that helps the motion along is no play, and no reason to give the coupling up."""
+    bent = EFFECTS["coupling_misalignment"]
+    own = of(bent, angle=0.05, direction=0.4, play=0.0, plays=0.0)
+    for way, plays in ((-1e-6, 0.0), (1e-6, 1.0)):
+        fit = bench(own, lambda signals, way=way: -way * np.tanh(signals.speed / 0.1))
+        assert at_best_choices(fit, ((bent, (1.0 - plays,)),)) == ((bent, (plays,)),)
 
 
 def test_a_cause_is_dropped_that_the_parameters_replace_once_they_have_moved() -> None:

@@ -255,3 +255,21 @@ def test_beside_what_goes_with_its_coefficients_the_same_fit_holds(plain: Linear
     assert there.fit(chosen)[0] is plain.fit(chosen)[0]
     assert_allclose(there.fit(chosen)[0], again.fit(chosen)[0], rtol=1e-6, atol=1e-9)
     assert there.deviance(chosen) == pytest.approx(again.deviance(chosen), rel=1e-9)
+
+
+def test_a_delay_carries_all_of_a_wave_as_it_runs_what_it_wanders_by_included() -> None:
+    """What another coefficient of the wave changes is its column: half a sample is much of a period."""
+    ball, order = EFFECTS["bearing_passage"], (9.7, 1.0)
+    fit = bench()
+    size = fit.columns(ball, order).shape[1]
+    coefficients = ARCSEC * np.random.default_rng(0).standard_normal(size)
+    for place in (0, size - 1):
+        more = coefficients + ARCSEC * (np.arange(size) == place)
+        one, other = (
+            fit.beside((((DELAY, ()), np.array([2.5e-3])), ((ball, order), own)))
+            for own in (coefficients, more)
+        )
+        changed = other.effects.together(other.present) - one.effects.together(one.present)
+        within = fit.data.record.time > 0.05  # not late yet
+        column = ARCSEC * one.columns(ball, order)[:, place]
+        assert_allclose(changed[within], column[within], atol=1e-6 * np.abs(column).max())

@@ -98,3 +98,17 @@ def test_without_a_measured_torque_only_what_the_motion_proves_takes_part(made: 
     assert {"coulomb_windup", "thermal_drift", "input_encoder_eccentricity"} & found == {
         "input_encoder_eccentricity"
     }
+
+
+def test_a_grid_point_is_the_best_within_the_parameters_bounds() -> None:
+    """By a compliance below zero another would explain more."""
+    harder = EFFECTS["torsional_hardening"]
+    fit = bench(lambda signals: 4e-6 * signals.torque * np.exp(-np.abs(signals.torque) / 10.0))
+    points = harder.starts(fit.signals).points
+    gains = [fit.deviance(()) - fit.deviance(((harder, point),)) for point in points]
+    free = [Projector(fit, ()).gain(fit.white(harder, point)) for point in points]
+    assert np.argmax(free) != np.argmax(gains)
+    (found,) = ranked(fit, (), [harder])
+    assert found.nonlinear == points[int(np.argmax(gains))]
+    assert found.gain == pytest.approx(max(gains), rel=1e-6)
+    assert found.gain < 0.9 * max(free)
