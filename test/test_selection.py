@@ -12,13 +12,14 @@ from joint_records import ARCSEC, RATIO, prepared
 from joint_records import NOISE as NOISE_OF_RECORD
 
 from hd_diag.diagnosis import diagnosis
-from hd_diag.diagnosis.diagnosis import _described, _predicting, _Tried
+from hd_diag.diagnosis.diagnosis import _described
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.fit_parameters import COMPLIANCE, CUP, DATUM
 from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.fit.refit import Refit, refit
 from hd_diag.diagnosis.gain import MISFIT, Rms, held_out
+from hd_diag.diagnosis.predictive import Tried, most_predictive
 from hd_diag.diagnosis.record import prepare
 from hd_diag.diagnosis.search.causes import Search, causes, doubted, left_out, motor_deviations, parameters_of
 from hd_diag.diagnosis.search.kept_parameters import GROUPS, Kept, kept_parameters
@@ -339,12 +340,12 @@ def test_parameters_that_held_out_rows_speak_against_are_not_kept() -> None:
     record = dataclasses.replace(record, torque=load, reported_torque=load, output_angle=output)
     fit = settle(linearise(record, CONFIGURED, POINT, rows=~test), ())
     assert "cup_compliance" in kept_parameters(fit, ())[1].bounds
-    best = _predicting(record, test, which, fit, Search(fit, ()), np.random.default_rng(0))
+    best = most_predictive(record, test, which, fit, Search(fit, ()), np.random.default_rng(0))
     assert best.kept.bounds.keys() == {"runout"}  # it has none
     assert not best.rms.misfit.suspected
 
 
-def foretold(work: Work) -> _Tried:
+def foretold(work: Work) -> Tried:
     """What becomes of a drift that the temperature makes where it hardly changes, and nowhere else."""
     drift, rubs, record = EFFECTS["thermal_drift"], EFFECTS["viscous_windup"], swinging(40.0)
     test, which = held_out(record)
@@ -357,7 +358,7 @@ def foretold(work: Work) -> _Tried:
     plain = linearise(record, CONFIGURED, POINT, rows=~test, work=work)
     fit = settle(plain, chosen)
     found = Search(fit, causes(fit, chosen, (), np.random.default_rng(0)))
-    return _predicting(record, test, which, settle(plain, ()), found, np.random.default_rng(0))
+    return most_predictive(record, test, which, settle(plain, ()), found, np.random.default_rng(0))
 
 
 def test_a_cause_without_which_held_out_rows_are_foretold_better_goes() -> None:
@@ -398,7 +399,7 @@ def test_parameters_that_predict_no_better_stay_as_configured(monkeypatch: pytes
         test, which = held_out(record)
         start = fit_parameters.vector(drive, CONFIGURED)
         fit = settle(linearise(record, CONFIGURED, start, rows=~test), ())
-        best = _predicting(record, test, which, fit, Search(fit, ()), np.random.default_rng(0))
+        best = most_predictive(record, test, which, fit, Search(fit, ()), np.random.default_rng(0))
         assert best.kept.bounds.keys() == held
         assert abs(best.gain.fraction) < 1e-4 or not held
 
@@ -413,7 +414,7 @@ def test_a_ball_whose_phase_wanders_is_no_misfit_though_nothing_foretells_it() -
     chosen = ((ball, (10.25, 1.0)),)
     fit = settle(linearise(record, CONFIGURED, POINT, rows=~test), chosen)
     found = Search(fit, causes(fit, chosen, (), np.random.default_rng(0)))
-    best = _predicting(record, test, which, settle(fit, ()), found, np.random.default_rng(0))
+    best = most_predictive(record, test, which, settle(fit, ()), found, np.random.default_rng(0))
     assert [cause.effect.name for cause in best.found.causes] == ["bearing_passage"]
     assert best.rms.extended > MISFIT * best.rms.noise
     assert best.rms.misfit.value == pytest.approx(1.0, abs=0.1)

@@ -13,30 +13,22 @@ from hd_diag.diagnosis.extension import encoder_zeros, extended_model
 from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.joint_refinement import settle
-from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
+from hd_diag.diagnosis.fit.linearised_fit import linearise
 from hd_diag.diagnosis.fit.motor_torque import less_motor
-from hd_diag.diagnosis.fit.refit import Refit, refit, usable
-from hd_diag.diagnosis.gain import MISFIT, Gain, Misfit, Rms, Rows, held_out, measured_gain, renumbered
+from hd_diag.diagnosis.fit.refit import Refit, refit
+from hd_diag.diagnosis.gain import MISFIT, Gain, Misfit, Rms, held_out, renumbered
 from hd_diag.diagnosis.noise import ORDER
+from hd_diag.diagnosis.predictive import most_predictive
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.screening import Screened, screened, without_misleading_torque
 from hd_diag.diagnosis.search.acceptance import FAMILY_ERROR, chance_in_misfit
-from hd_diag.diagnosis.search.causes import Cause, Search, causes, doubted, motor_deviations, refitted
+from hd_diag.diagnosis.search.causes import Cause, Search, doubted, motor_deviations, refitted
 from hd_diag.diagnosis.search.detectability import Detectability, testability
-from hd_diag.diagnosis.search.kept_parameters import (
-    DISPLACEMENTS,
-    GROUPS,
-    Kept,
-    is_displaced,
-    keeping,
-    kept_parameters,
-    likelier,
-)
 from hd_diag.diagnosis.search.minima import is_only_minimum
 from hd_diag.diagnosis.search.order_table import OrderRow
 from hd_diag.diagnosis.search.selection import search
-from hd_diag.diagnosis.search.unexplained import Unexplained, unexplained, with_table
-from hd_diag.diagnosis.search.unmodelled_terms import OutputLine, UnmodelledTerm
+from hd_diag.diagnosis.search.unexplained import Unexplained, unexplained
+from hd_diag.diagnosis.search.unmodelled_terms import UnmodelledTerm
 from hd_diag.diagnosis.work import Work
 from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE, Catalogue
@@ -44,10 +36,9 @@ from hd_diag.effects.effect import Stage
 from hd_diag.extended_model import ExtendedModel
 
 _MOST_ALIKE = 5  # causes that a class may hold and still say something
-_KEPT, _TESTED = 0.7, 0.9  # of the time that a diagnosis may take, by which these must end
+_TESTED = 0.9  # of the time that a diagnosis may take, by which what could have been shown is tested
 _NO_LAWS = ("no law was found", "no law was found")
 _BY_TORQUE = ("friction", "torsion")  # kinds of causes that a motor's own friction and constant imitate
-_WORSE = 1.02  # times the residual of a simpler model: then data speak against the richer one
 
 
 class Allowed(NamedTuple):
@@ -183,7 +174,7 @@ def diagnose(
     plain = settle(begun, begun.data.given)
     found = search(plain, rng, first)
     work.tell(0.73, "measuring the gain")
-    best = _predicting(record, test, which, plain, found, rng)
+    best = most_predictive(record, test, which, plain, found, rng)
     kept, rms, gain = best.kept, best.rms, best.gain
     work.tell(0.86, "using all data")
     # A shape without a cause has columns of its rows, of which there may be more here.
@@ -221,74 +212,6 @@ def diagnose(
         motor_std=motor_deviations(whole),
         left_out=tuple(work.left_out),
     )
-
-
-class _Tried(NamedTuple):
-    """What a search found, with the parameters kept as configured, and how it does on held-out rows."""
-
-    found: Search
-    kept: Kept
-    every: LinearisedFit
-    rms: Rms
-    gain: Gain
-
-    def left(self) -> float:
-        """What causes leave of held-out rows [rad rms]."""
-        return self.rms.by_causes(self.found.fit.data.source.by_current)
-
-
-def _predicting(
-    record: Record,
-    test: Rows,
-    which: str,
-    plain: LinearisedFit,
-    found: Search,
-    rng: np.random.Generator,
-) -> _Tried:
-    """The model with most in it that predicts held-out rows no worse than simpler ones do."""
-
-    def tried(fit: LinearisedFit, kept: Kept, found: Search) -> _Tried:
-        before, found = plain if found.chosen else fit, refitted(fit, found)
-        every = found.fit.on(usable(found.fit.data.source, found.torque_shift))
-        return _Tried(found, kept, every, *measured_gain(record, test, which, before, found, every, rng))
-
-    fit, kept = found.fit, Kept({})
-    with fit.work.until(_KEPT, "testing which parameters may be as configured"):
-        fit, kept = kept_parameters(fit, found.chosen)
-    best = tried(fit, kept, found)
-    if best.rms.misfit.suspected:  # too much may be held
-        for held in dict.fromkeys((DISPLACEMENTS.intersection(kept.bounds), frozenset[str]())):
-            freed, there = kept.bounds.keys() - held, keeping(found.fit, found.chosen, held)
-            if freed & DISPLACEMENTS and not is_displaced(found.fit, found.chosen):
-                continue
-            if freed and likelier(there[0], fit, found.chosen, freed):
-                freer = tried(*there, found)
-                if not freer.rms.misfit.suspected:
-                    best = freer
-                    break
-    with fit.work.until(_KEPT, "testing whether fewer causes predict better"):
-        while best.rms.misfit.suspected and len(found.chosen) > 1:  # two that undo each other may not
-            places = [place for place, (effect, _) in enumerate(found.chosen) if not effect.given]
-            simpler = [found.without(place) for place in places]
-            trials = [(tried(*keeping(one.fit, one.chosen, best.kept.bounds), one), one) for one in simpler]
-            least, fewer = min(trials, key=lambda trial: trial[0].left())
-            if best.left() <= _WORSE * least.left():
-                break
-            fewer = replace(fewer, causes=causes(fewer.fit, fewer.chosen, fewer.rivals, rng))
-            best, found = tried(*kept_parameters(fewer.fit, fewer.chosen), fewer), fewer
-    lines = tuple(item for item in found.chosen if item[0].given or isinstance(item[0], OutputLine))
-    if found.chosen != lines and best.left() > _WORSE * best.rms.without_causes:
-        found = Search(settle(plain, lines) if lines else plain, (), lines)
-        best = tried(*kept_parameters(found.fit, lines), found)
-    if best.gain.low <= 0.0:
-        best = tried(*keeping(found.fit, found.chosen, GROUPS), found)
-    found = with_table(best.found)
-    if any(row.repeats for row in found.table):
-        rms, gain = measured_gain(record, test, which, plain, found, best.every, rng)
-        if rms.extended < best.rms.extended:
-            return best._replace(found=found, rms=replace(rms, named=best.rms.extended), gain=gain)
-        found = replace(found, table=tuple(row for row in found.table if not row.repeats))
-    return best._replace(found=found)
 
 
 def _described(record: Record, lines: list[Unexplained], rms: Rms) -> tuple[Unexplained, ...]:
