@@ -95,7 +95,7 @@ class Diagnosis:
     def predicting(self) -> bool:
         """Whether held-out rows are predicted better with the causes than without, or as configured."""
         rms = self.rms
-        return rms is None or rms.by_causes(self.record.by_current) < rms.without_causes
+        return rms is None or rms.by_causes < rms.without_causes
 
     def _is_named(self, cause: Cause) -> bool:
         """Whether a cause is named; not if too many others explain as much, or the parameters are ambiguous.

@@ -58,12 +58,13 @@ class Rms:
     repeated: bool = field(default=True, kw_only=True)
     wandering: float = field(default=0.0, kw_only=True)
 
-    def by_causes(self, by_current: bool) -> float:
+    @property
+    def by_causes(self) -> float:
         """Residual less the wandering of causes; with causes it must be smaller than without them.
 
-        By a current as fitted: as the model runs, a motor's friction begins late, which speaks against none.
+        As fitted or as the model runs: its torque is late or smoothed there, which speaks against no cause.
         """
-        return self._followed(self.offline if by_current else self.named)
+        return self._followed(min(self.named, self.offline))
 
     @property
     def without_causes(self) -> float:

@@ -40,7 +40,7 @@ class Tried(NamedTuple):
 
     def left(self) -> float:
         """What causes leave of held-out rows [rad rms]."""
-        return self.rms.by_causes(self.found.fit.data.source.by_current)
+        return self.rms.by_causes
 
 
 def most_predictive(

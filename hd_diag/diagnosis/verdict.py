@@ -179,7 +179,7 @@ def sentence(answer: Answer) -> str:
         parts.append(f"described, not explained: {', '.join(map(_row_in_words, rows))}")
     rms, record = diagnosis.rms, diagnosis.record
     if rms is not None and diagnosis.hints and not diagnosis.predicting:
-        left = rms.by_causes(record.by_current) / ARCSEC
+        left = rms.by_causes / ARCSEC
         parts.append(
             "held-out data are predicted no better with it than without "
             f"({left:.2f} against {arcsec(rms.without_causes)}): record more"
