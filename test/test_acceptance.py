@@ -364,6 +364,25 @@ def test_a_line_that_the_counts_make_at_a_speed_that_stays_is_no_bearing() -> No
         assert needed(fit, chosen) == (chosen if is_one else ())
 
 
+def test_a_wave_of_one_period_a_count_is_no_encoder_s() -> None:
+    """An encoder's own of as many periods is one where no output counts so."""
+    lines, order, record = EFFECTS["encoder_interpolation"], 64.0, swinging()
+    torque, step = 20.0 + 0.02 * record.torque, 2.0 * np.pi / (RATIO * order)
+    output = record.input_angle / RATIO + transmission_error(TRUE, record.input_angle, torque)
+    output += NOISE * np.random.default_rng(3).standard_normal(record.size)
+    steady = dict.fromkeys(("torque", "reported_torque"), torque)
+    light = linearise(dataclasses.replace(record, output_angle=output, **steady), CONFIGURED, POINT)
+    wave = 60.0 * ARCSEC * np.cos(order * record.input_angle)
+    own = dataclasses.replace(light.data.source, output_angle=output + wave)
+    chosen = ((lines, (order,)),)
+    for fit, is_one in (
+        (counting(light, step), False),
+        (linearise(own, CONFIGURED, POINT).with_noise(()), True),
+    ):
+        assert size(fit, (), *chosen[0]) > 10.0 * LEAST_SIZE
+        assert needed(fit, chosen) == (chosen if is_one else ())
+
+
 def test_a_loop_has_to_be_more_than_torsion_whose_torque_is_a_little_late(made: LinearisedFit) -> None:
     """It may come to the fit all the same: another cause may then show beside it, and take its place."""
     loop, whole = EFFECTS["hysteresis"], made.whole

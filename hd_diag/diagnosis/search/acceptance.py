@@ -207,7 +207,7 @@ def needed(fit: LinearisedFit, chosen: Chosen) -> Chosen:
             continue
         gain, predicted = held_out_gain(fit, chosen, index)
         itself = sensible(fit, chosen)[index] and not _beyond_bounds(fit, chosen, rest, gain)
-        itself = itself and not (effect.wanders(nonlinear) and _rounded(fit, chosen, rest))
+        itself = itself and (smooth(effect) or not _rounded(fit, chosen, rest))
         certain = itself and holds(gain, predicted) and chance(fit, chosen, index) <= FAMILY_ERROR
         if small or not certain:
             return needed(fit, rest)
