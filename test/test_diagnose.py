@@ -79,7 +79,7 @@ def test_intervals_are_longer_where_more_than_noise_is_left(monkeypatch: pytest.
         rms, share = real(*given)
         return dataclasses.replace(rms, extended=2.0 * rms.extended, offline=2.0 * rms.offline), share
 
-    monkeypatch.setattr("hd_diag.diagnosis.diagnosis.measured_gain", worse)
+    monkeypatch.setattr("hd_diag.diagnosis.predictive.measured_gain", worse)
     found = diagnose(record, drive, np.random.default_rng(0))
     assert found.misfit is not None
     assert found.misfit.suspected

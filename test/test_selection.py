@@ -11,7 +11,7 @@ from challenge import families
 from joint_records import ARCSEC, RATIO, prepared
 from joint_records import NOISE as NOISE_OF_RECORD
 
-from hd_diag.diagnosis import diagnosis
+from hd_diag.diagnosis import predictive
 from hd_diag.diagnosis.diagnosis import _described
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.fit_parameters import COMPLIANCE, CUP, DATUM
@@ -393,7 +393,7 @@ def test_a_rival_that_explains_something_else_is_none() -> None:
 
 def test_parameters_that_predict_no_better_stay_as_configured(monkeypatch: pytest.MonkeyPatch) -> None:
     """Those of noise, which held-out blocks of the fit itself have passed."""
-    monkeypatch.setattr(diagnosis, "kept_parameters", lambda fit, chosen: (fit, Kept({})))
+    monkeypatch.setattr(predictive, "kept_parameters", lambda fit, chosen: (fit, Kept({})))
     for drive, held in ((CONFIGURED, GROUPS.keys()), (TRUE, set[str]())):
         record = swinging(drive=drive)
         test, which = held_out(record)
