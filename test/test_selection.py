@@ -11,7 +11,7 @@ from challenge import families
 from joint_records import ARCSEC, RATIO, prepared
 from joint_records import NOISE as NOISE_OF_RECORD
 
-from hd_diag.diagnosis import predictive
+from hd_diag.diagnosis import diagnosis, predictive
 from hd_diag.diagnosis.diagnosis import _described
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.fit_parameters import COMPLIANCE, CUP, DATUM
