@@ -75,6 +75,9 @@ def settled(rig: Rig, name: str, namespace: str, enclave: str, left: set[str]) -
     found: list[str] = []
 
     def is_settled() -> bool:
+        if (name, namespace) not in rig.node.get_node_names_and_namespaces():
+            found[:] = [f"{name} is not known yet"]  # on a busy machine its topics come before its name
+            return False
         found[:] = sorted(set(differences(enclave, used(rig.node, name, namespace))) - left)
         return not found
 
