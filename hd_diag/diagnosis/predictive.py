@@ -38,10 +38,6 @@ class Tried(NamedTuple):
     rms: Rms
     gain: Gain
 
-    def left(self) -> float:
-        """What causes leave of held-out rows [rad rms]."""
-        return self.rms.by_causes
-
 
 def most_predictive(
     record: Record,
@@ -64,10 +60,11 @@ def most_predictive(
     best = tried(fit, kept, found)
     if best.rms.misfit.suspected:  # too much may be held
         for held in dict.fromkeys((DISPLACEMENTS.intersection(kept.bounds), frozenset[str]())):
-            freed, there = kept.bounds.keys() - held, keeping(found.fit, found.chosen, held)
-            if freed & DISPLACEMENTS and not is_displaced(found.fit, found.chosen):
+            freed = kept.bounds.keys() - held
+            if not freed or (freed & DISPLACEMENTS and not is_displaced(found.fit, found.chosen)):
                 continue
-            if freed and likelier(there[0], fit, found.chosen, freed):
+            there = keeping(found.fit, found.chosen, held)
+            if likelier(there[0], fit, found.chosen, freed):
                 freer = tried(*there, found)
                 if not freer.rms.misfit.suspected:
                     best = freer
@@ -77,13 +74,13 @@ def most_predictive(
             places = [place for place, (effect, _) in enumerate(found.chosen) if not effect.given]
             simpler = [found.without(place) for place in places]
             trials = [(tried(*keeping(one.fit, one.chosen, best.kept.bounds), one), one) for one in simpler]
-            least, fewer = min(trials, key=lambda trial: trial[0].left())
-            if best.left() <= _WORSE * least.left():
+            least, fewer = min(trials, key=lambda trial: trial[0].rms.by_causes)
+            if best.rms.by_causes <= _WORSE * least.rms.by_causes:
                 break
             fewer = replace(fewer, causes=causes(fewer.fit, fewer.chosen, fewer.rivals, rng))
             best, found = tried(*kept_parameters(fewer.fit, fewer.chosen), fewer), fewer
     lines = tuple(item for item in found.chosen if item[0].given or isinstance(item[0], OutputLine))
-    if found.chosen != lines and best.left() > _WORSE * best.rms.without_causes:
+    if found.chosen != lines and best.rms.by_causes > _WORSE * best.rms.without_causes:
         found = Search(settle(plain, lines) if lines else plain, (), lines)
         best = tried(*kept_parameters(found.fit, lines), found)
     if best.gain.low <= 0.0:

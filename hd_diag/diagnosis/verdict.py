@@ -249,9 +249,8 @@ def _parameters(answer: Answer) -> str:
         text = f"the eccentricity is as configured ({size['configured'] * 1e6:.1f} µm)"
         away = abs(size["value"] - size["configured"]) + TWO_SIDED * size["std"]
         most = diagnosis.kept.get("eccentricity", away)
-        if (
-            answer.judgement == "misfit" or answer.vague
-        ):  # a bound stands on a model that describes the record
+        # A bound stands on a model that describes the record.
+        if answer.judgement == "misfit" or answer.vague:
             return f"{text}, and how far off it may be cannot be determined"
         return f"{text}, as far as this record tells: no more than {most * 1e6:.1f} µm off"
     text = ", ".join(_change_in_words(diagnosis, change) for change in changed)

@@ -40,7 +40,7 @@ class StreamDelay(Effect):
         result = self.columns(signals, nonlinear) @ coefficients
         if delay > 0.0 and time.size >= _POINTS:
             then = signals.time - delay
-            known = (then >= time[0]) & (np.searchsorted(time, then) >= _POINTS - 1)
+            known = then > time[_POINTS - 2]
             points, weights = _between(time, then[known])
             result[known] = np.sum(weights * angle[points], axis=1) - now[known]
         kept = max(int(np.searchsorted(time, time[-1] - max(delay, 0.0))) - _POINTS, 0) if time.size else 0

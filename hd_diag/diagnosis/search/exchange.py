@@ -71,10 +71,11 @@ def swapped(fit: LinearisedFit, chosen: Chosen, rivals: set[str]) -> tuple[Linea
         else:
             near = now + _NEAR * (without.deviance(others) - now)
             trials = [(*others, (one.effect, one.nonlinear)) for one in found[:_TRIED]]
-            trials = [one for one in trials if one != again and _priced(without.corrected(one), one) < near]
-            if not trials:
+            begun = [(without.corrected(trial), trial) for trial in trials if trial != again]
+            close = [one for one in begun if _priced(*one) < near]
+            if not close:
                 continue
-            there, trial = _best_begun(without, trials)
+            there, trial = _best_begun(close)
         fit, there = _settled(fit, chosen), _settled(there, trial)
         if _priced(there, trial) < _priced(fit, chosen) - CLASS_DEVIANCE:
             fit, chosen = refined(there, trial)
@@ -108,16 +109,16 @@ def _few_in_place_of_one(
         few = [trial for trial in trials if _coefficients(fit, trial[-1:]) < _FLEXIBLE][:_TRIED]
         if not few:
             break
-        fit, others = _best_begun(fit, few)
+        fit, others = _best_begun([(fit.corrected(trial), trial) for trial in few])
         fit = _settled(fit, others)
         if _priced(fit, others) < least:
             break
     return fit, others
 
 
-def _best_begun(fit: LinearisedFit, trials: Sequence[Chosen]) -> tuple[LinearisedFit, Chosen]:
-    """The best of some sets of effects after a few rounds of settling, and the fit there."""
-    begun = [(settle(fit.corrected(trial), trial, _BEGIN, learn=False), trial) for trial in trials]
+def _best_begun(trials: Sequence[tuple[LinearisedFit, Chosen]]) -> tuple[LinearisedFit, Chosen]:
+    """The best of some fits beside sets of effects after a few rounds of settling, and its set."""
+    begun = [(settle(fit, chosen, _BEGIN, learn=False), chosen) for fit, chosen in trials]
     return min(begun, key=lambda one: _priced(*one))
 
 

@@ -129,7 +129,7 @@ def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, 
     if not doubtful:
         return fit, Kept(_bounds(fit, chosen, undetermined), rivals[1:])
     best, held = fit, list[str]()
-    if not is_displaced(fit, chosen):
+    if not _displaced(fit, away, spread):
         held = [name for name in certain if name in DISPLACEMENTS]
         best = _trial(best, chosen, held)
     doubtful = [name for name in doubtful if name not in held]
@@ -159,7 +159,11 @@ def keeping(fit: LinearisedFit, chosen: Chosen, names: Collection[str]) -> tuple
 
 def is_displaced(fit: LinearisedFit, chosen: Chosen) -> bool:
     """Whether there is an eccentricity by itself: without one a runout explains only what it is not."""
-    return _eccentric(fit) or _certainty(*_away(fit, chosen), ["eccentricity"]) > _NOISE["eccentricity"]
+    return _displaced(fit, *_away(fit, chosen))
+
+
+def _displaced(fit: LinearisedFit, away: Floats, spread: Floats) -> bool:
+    return _eccentric(fit) or _certainty(away, spread, ["eccentricity"]) > _NOISE["eccentricity"]
 
 
 def _undisplaced(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, list[Floats]]:

@@ -33,7 +33,7 @@ class Projector:
     """Projects whitened columns off the model, the encoders' offset and the chosen effects.
 
     Their prior stands below the samples, a row for each, and what a fit puts on a bound stays there: what
-    only unheard-of values could imitate remains. It is a fit with effects `beside` the chosen ones that does.
+    only unheard-of values could imitate remains. Which do is seen in a fit with effects `beside` the chosen.
     """
 
     def __init__(self, fit: LinearisedFit, chosen: Chosen, beside: Chosen = ()) -> None:
@@ -153,15 +153,18 @@ def _best_within_bounds(
 
     Beyond them they imitate what no drive does; no gain is larger within.
     """
-    best: list[Candidate] = []
-    for one in points:
-        if best and best[0].surprise >= one.surprise:
-            break
+
+    def within(one: Candidate) -> Candidate:
         trial = (*chosen, (one.effect, one.nonlinear))
         gain = max(fit.deviance(chosen) - fit.deviance(trial), 0.0)
-        best.append(_candidate(fit, projector, *trial[-1], gain) if gain < one.gain else one)
-        best.sort(key=_by_surprise)
-    return best[0]
+        return _candidate(fit, projector, *trial[-1], gain) if gain < one.gain else one
+
+    best = within(points[0])
+    for one in points[1:]:
+        if best.surprise >= one.surprise:
+            break
+        best = min(best, within(one), key=_by_surprise)
+    return best
 
 
 def _gain_at_size(fit: LinearisedFit, projector: Projector, candidate: Candidate) -> float:
