@@ -23,7 +23,6 @@ from hd_diag.diagnosis.search.kept_parameters import (
     likelier,
 )
 from hd_diag.diagnosis.search.unexplained import with_table
-from hd_diag.diagnosis.search.unmodelled_terms import OutputLine
 
 _KEPT = 0.7  # of the time that a diagnosis may take, by which these must end
 _WORSE = 1.02  # times the residual of a simpler model: then data speak against the richer one
@@ -79,10 +78,10 @@ def most_predictive(
                 break
             fewer = replace(fewer, causes=causes(fewer.fit, fewer.chosen, fewer.rivals, rng))
             best, found = tried(*kept_parameters(fewer.fit, fewer.chosen), fewer), fewer
-    lines = tuple(item for item in found.chosen if item[0].given or isinstance(item[0], OutputLine))
-    if found.chosen != lines and best.rms.by_causes > _WORSE * best.rms.without_causes:
-        found = Search(settle(plain, lines) if lines else plain, (), lines)
-        best = tried(*kept_parameters(found.fit, lines), found)
+    if found.causes and best.rms.by_causes > _WORSE * best.rms.without_causes:
+        rest = found.unmodelled
+        found = Search(settle(plain, rest) if rest else plain, (), rest)
+        best = tried(*kept_parameters(found.fit, rest), found)
     if best.gain.low <= 0.0:
         best = tried(*keeping(found.fit, found.chosen, GROUPS), found)
     found = with_table(best.found)

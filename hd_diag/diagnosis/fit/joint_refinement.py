@@ -43,9 +43,9 @@ def settle(fit: LinearisedFit, chosen: Chosen, rounds: int = 3, learn: bool = Tr
     """
     if learn:
         fit = fit.with_noise(chosen)
-    last, taken = np.zeros(fit_parameters.COUNT), 1.0
+    last, taken = np.zeros(fit_parameters.COUNT), 0.0
     for _ in range(rounds):
-        beta, covariance, built = fit.fit(chosen)
+        beta, covariance, _ = fit.fit(chosen)
         step = beta[: fit_parameters.COUNT]
         away = step / np.sqrt(np.diag(covariance)[: fit_parameters.COUNT] + 1e-12)
         longer = _longer(away, last, taken) if last.any() and not fit.data.given else fit.longer
@@ -53,30 +53,23 @@ def settle(fit: LinearisedFit, chosen: Chosen, rounds: int = 3, learn: bool = Tr
         # The fit itself still adds a step this small, linearly.
         if longer * np.max(np.abs(away)) < _LINEAR:
             break
-        if fit.data.given:
-            before, fit = fit, _down(fit, chosen, beta)
-            if fit is before:
-                return fit
-            continue
-        trial, share = _stepped_by(fit, chosen, beta, longer, built.deviance())
+        trial, share = _stepped_by(fit, chosen, beta, longer)
         if trial is fit:
             break
         fit, taken = trial, share
-    return fit.corrected(chosen)
+    return fit if taken else fit.corrected(chosen)
 
 
 def _stepped_by(
-    fit: LinearisedFit, chosen: Chosen, beta: Floats, longer: float, least: float
+    fit: LinearisedFit, chosen: Chosen, beta: Floats, longer: float
 ) -> tuple[LinearisedFit, float]:
-    """After the longest share of a step that makes the fit no worse, and that share; else the same."""
-    step, sized = beta[: fit_parameters.COUNT], fit.sized(chosen, beta)
+    """After the longest share of a step of all coefficients that makes the fit no worse; else the same."""
+    before, start = fit.cost(chosen), fit.at_present(chosen, beta)
     for share in (longer, *_SHARES) if longer > _CLEARLY else _SHARES:
-        moved = fit_parameters.admissible(fit.parameters + share * step, fit.data.configured)
-        trial = replace(fit.moved(moved), longer=longer).beside(sized).corrected(chosen)
-        left, most = trial.deviance(chosen), 1.0 if share > 1.0 else _WORSE
-        if left > most * least and share == 1.0:
-            least = max(least, fit.corrected(chosen).deviance(chosen))  # not by its lines alone
-        if left <= most * least:
+        part = start + share * (beta - start)
+        moved = fit_parameters.admissible(fit.parameters + part[: fit_parameters.COUNT], fit.data.configured)
+        trial = replace(fit.moved(moved), longer=longer).beside(fit.sized(chosen, part))
+        if trial.cost(chosen) <= (_WORSE if share == 1.0 else 1.0) * before:
             return trial, share
     return fit, 0.0
 
@@ -89,22 +82,6 @@ def _longer(step: Floats, before: Floats, taken: float) -> float:
     """
     left = float(step @ before) / float(before @ before)
     return float(np.clip(taken / max(1.0 - left, 1e-9), 1.0, _LONGEST))
-
-
-def _down(fit: LinearisedFit, chosen: Chosen, beta: Floats) -> LinearisedFit:
-    """After the longest part of a step to coefficients that lowers the cost; the same where none does.
-
-    What a motor takes and the parameters move each other: a whole step may lead far away.
-    """
-    before, start, share = fit.cost(chosen), fit.at_present(chosen, beta), 1.0
-    for _ in range(_SHORTER):
-        part = start + share * (beta - start)
-        moved = fit_parameters.admissible(fit.parameters + part[: fit_parameters.COUNT], fit.data.configured)
-        trial = fit.moved(moved).beside(fit.sized(chosen, part))
-        if trial.cost(chosen) < before:
-            return trial
-        share *= _PART
-    return fit
 
 
 def polished(fit: LinearisedFit, chosen: Chosen, rounds: int = _ROUNDS) -> tuple[LinearisedFit, Chosen]:

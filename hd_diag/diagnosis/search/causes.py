@@ -19,11 +19,12 @@ from hd_diag.diagnosis.search.acceptance import (
     held_out_gain,
     lasting,
     only_corrects_shape,
+    passing,
     smooth,
     wanders,
 )
 from hd_diag.diagnosis.search.order_table import OrderRow, refitted_rows
-from hd_diag.diagnosis.search.ranking import Candidate, by_name, ranked
+from hd_diag.diagnosis.search.ranking import Candidate, by_name, family_size, ranked
 from hd_diag.diagnosis.search.remainder import Remainder
 from hd_diag.diagnosis.search.unmodelled_terms import UNMODELLED_TERMS, UnmodelledTerm
 from hd_diag.effects.effect import Effect, Stage
@@ -160,7 +161,10 @@ def causes(
 
 
 def doubted(found: Search) -> Search:
-    """The same, with causes doubtful that only mend a shape, are beaten by a term, or may be slow noise."""
+    """The same, with causes doubtful that only mend a shape, are beaten by a term, or may be slow noise.
+
+    So are those that are needed only beside a doubtful one: two large effects that undo each other.
+    """
     fit, chosen, judged = found.fit, found.chosen, []
     for index, cause in enumerate(found.causes):
         doubtful = only_corrects_shape(fit, chosen, index)
@@ -169,7 +173,18 @@ def doubted(found: Search) -> Search:
             others = chosen[:index] + chosen[index + 1 :]
             doubtful = doubtful or not lasting(fit, others, cause.effect, cause.nonlinear)
         judged.append(replace(cause, doubtful=doubtful))
+    doubts = {cause.effect.name for cause in judged if cause.doubtful}
+    certain = tuple(item for item in chosen if item[0].name not in doubts)
+    if doubts:
+        judged = [replace(one, doubtful=one.doubtful or _undone(fit, certain, one.effect)) for one in judged]
     return replace(found, causes=tuple(judged))
+
+
+def _undone(fit: LinearisedFit, certain: Chosen, effect: Effect) -> bool:
+    """Whether one of the certain effects passes no test beside the others of them, once these are settled."""
+    others = tuple(item for item in certain if item[0] is not effect)
+    there = settle(replace(fit, held=()).corrected(others), others, _TO_ITS_SIZE)
+    return passing(there, others, ranked(there, others, [effect]), family_size(fit)) is None
 
 
 def _beaten(fit: LinearisedFit, chosen: Chosen, index: int) -> bool:

@@ -245,6 +245,7 @@ UNMODELLED_TERMS = (
         shape=_creep,
         cause="grows with the way, and with torque times way: something creeps",
         frame="input",
+        remembers=True,  # the way between fitted rows
     ),
     UnmodelledTerm(
         name="drift",
