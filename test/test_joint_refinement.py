@@ -9,6 +9,7 @@ from joint_records import joint, prepared
 from numpy.testing import assert_allclose
 
 from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.fit.fit_parameters import DATUM
 from hd_diag.diagnosis.fit.joint_refinement import covariance, free, polished, settle, slopes
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.effects.effect import Effect
@@ -55,6 +56,17 @@ def test_a_fit_reaches_the_end_of_a_valley() -> None:
     found = settle(fit, chosen, rounds=8, learn=False)
     # Where it ends, what the columns say is what the effect does at its size.
     assert found.cost(chosen) - found.design(chosen).deviance() < 20.0
+
+
+@pytest.mark.parametrize("farther", [6.0, 10.0, 14.0])
+def test_worn_teeth_and_a_datum_that_hide_each_other_are_told_apart(farther: float) -> None:
+    """Along the valley a step of the datum alone climbs: the teeth's wear has to step with it."""
+    wear = EFFECTS["wear_backlash"]
+    away, chosen = POINT.copy(), ((wear, ()),)
+    away[DATUM] += farther
+    begin = bench(of(wear, clearance=4e-6), record=swinging(40.0)).moved(away).corrected(chosen)
+    found = settle(begin, chosen, rounds=8, learn=False)
+    assert abs(found.parameters[DATUM] - POINT[DATUM]) < 0.6
 
 
 @pytest.mark.parametrize("away", [(0.0, 0.0, 0.0), (12.0, -9.0, 0.0), (-20.0, 10.0, 20.0)])

@@ -10,6 +10,7 @@ from benches import CONFIGURED, EFFECTS, POINT, TRUE, Part, bench, of, swinging
 from challenge import families
 from joint_records import ARCSEC, RATIO, prepared
 from joint_records import NOISE as NOISE_OF_RECORD
+from numpy.testing import assert_allclose
 
 from hd_diag.diagnosis import diagnosis, predictive
 from hd_diag.diagnosis.diagnosis import _described
@@ -21,6 +22,7 @@ from hd_diag.diagnosis.fit.refit import Refit, refit
 from hd_diag.diagnosis.gain import MISFIT, Rms, held_out
 from hd_diag.diagnosis.predictive import Tried, most_predictive
 from hd_diag.diagnosis.record import prepare
+from hd_diag.diagnosis.search import causes as search_causes
 from hd_diag.diagnosis.search.causes import Search, causes, doubted, left_out, motor_deviations, parameters_of
 from hd_diag.diagnosis.search.kept_parameters import GROUPS, Kept, kept_parameters
 from hd_diag.diagnosis.search.minima import globally_refitted, speed_dependent
@@ -34,7 +36,7 @@ from hd_diag.diagnosis.search.selection import (
     search,
 )
 from hd_diag.diagnosis.search.unexplained import with_table
-from hd_diag.diagnosis.search.unmodelled_terms import UNMODELLED_TERMS
+from hd_diag.diagnosis.search.unmodelled_terms import UNMODELLED_TERMS, UnmodelledTerm
 from hd_diag.diagnosis.work import Work
 from hd_diag.drive import transmission_error
 from hd_diag.effects.signals import Signals
@@ -311,6 +313,24 @@ def test_what_is_tried_in_a_cause_s_place_starts_where_the_cause_does() -> None:
     assert [cause.doubtful for cause in doubted(named).causes] == [False]
 
 
+@pytest.mark.parametrize("friction", [0.0, 1.5])
+def test_a_cause_that_is_needed_only_beside_a_doubtful_one_is_doubtful(
+    monkeypatch: pytest.MonkeyPatch, friction: float
+) -> None:
+    """What an encoder reads, taken for a shape, and friction that is there or not."""
+    rubbing, read = EFFECTS["viscous_windup"], EFFECTS["output_encoder_eccentricity"]
+    record = swinging()
+    monkeypatch.setattr(search_causes, "only_corrects_shape", lambda fit, chosen, index: index == 0)
+    reads = of(read, amplitude=6.0 * ARCSEC, direction=1.0, second_amplitude=0.0, second_direction=0.0)
+    parts = (reads, of(rubbing, friction=friction, exponent=1.0))
+    chosen = ((read, ()), (rubbing, (1.0,)))
+    fit = settle(bench(*parts, record=record), chosen)
+    shared = causes(fit, chosen, (), np.random.default_rng(0))
+    named = Search(fit, tuple(sorted(shared, key=lambda cause: cause.effect.name)))
+    doubted_ones = {cause.effect.name for cause in doubted(named).causes if cause.doubtful}
+    assert doubted_ones == {"output_encoder_eccentricity", *(("viscous_windup",) if not friction else ())}
+
+
 def test_a_cause_that_no_step_leads_back_to_is_compared_with_what_is_settled_in_its_place() -> None:
     """A wrong zero that puts torques on the other flank: its columns beside none of it lead elsewhere."""
     record = swinging()
@@ -345,7 +365,7 @@ def test_parameters_that_held_out_rows_speak_against_are_not_kept() -> None:
     assert not best.rms.misfit.suspected
 
 
-def foretold(work: Work) -> Tried:
+def foretold(work: Work, *terms: tuple[UnmodelledTerm, tuple[float, ...]]) -> Tried:
     """What becomes of a drift that the temperature makes where it hardly changes, and nowhere else."""
     drift, rubs, record = EFFECTS["thermal_drift"], EFFECTS["viscous_windup"], swinging(40.0)
     test, which = held_out(record)
@@ -354,10 +374,10 @@ def foretold(work: Work) -> Tried:
     added += np.where(test, 0.0, 0.6 * NOISE_OF_RECORD / 0.5) * warmth
     angle = record.output_angle + added
     record = dataclasses.replace(record, temperature=25.0 + warmth, output_angle=angle)
-    chosen = ((rubs, (1.0,)), (drift, (0.0,)))
+    chosen = ((rubs, (1.0,)), (drift, (0.0,)), *terms)
     plain = linearise(record, CONFIGURED, POINT, rows=~test, work=work)
     fit = settle(plain, chosen)
-    found = Search(fit, causes(fit, chosen, (), np.random.default_rng(0)))
+    found = Search(fit, causes(fit, chosen, (), np.random.default_rng(0)), terms)
     return most_predictive(record, test, which, settle(plain, ()), found, np.random.default_rng(0))
 
 
@@ -373,6 +393,24 @@ def test_where_there_is_no_time_to_try_without_a_cause_that_is_told() -> None:
     work = Work(1e-6)
     assert foretold(work).found.chosen == ()
     assert "testing whether fewer causes predict better" in work.left_out
+
+
+def test_what_no_cause_explains_stays_where_the_causes_go() -> None:
+    """It is no part of the model that foretells, and the record holds it all the same."""
+    (creep,) = (term for term in UNMODELLED_TERMS if term.name == "creep")
+    best = foretold(Work(1e-6), (creep, ()))
+    assert best.found.causes == ()
+    assert best.found.chosen == ((creep, ()),)
+
+
+def test_what_creeps_does_so_between_fitted_rows_as_well() -> None:
+    record = swinging(40.0)
+    (creep,) = (term for term in UNMODELLED_TERMS if term.name == "creep")
+    rows = np.abs(record.torque) > 5.0
+    whole, part = (linearise(record, CONFIGURED, POINT, rows=own) for own in (None, rows))
+    at = np.isin(whole.data.at, part.data.at)
+    assert 0 < at.sum() < at.size
+    assert_allclose(part.columns(creep, ()), whole.columns(creep, ())[at], rtol=1e-9)
 
 
 def slipping(signals: Signals) -> np.ndarray:

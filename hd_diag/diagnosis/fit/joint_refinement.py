@@ -15,7 +15,6 @@ from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.effects.effect import Effect, Stage
 
 _ROUNDS = 8
-_PART = 0.3  # of a step, that is tried after it
 _SHORTER = 3  # halvings of a step that makes the fit worse
 _SHARES = (1.0, 0.3, 0.1)  # of a step, tried in turn until one makes the fit no worse
 _WORSE = 1.05  # times the deviance before, that a step may leave on its way
