@@ -41,7 +41,7 @@ _TO_ITS_SIZE = 8  # rounds in which it is brought there
 _NEARLY = 3  # rounds in which one that does nearly as well is brought to its best
 _PLAINLY = 0.1  # of a cause's gain, by which an unmodelled term beats it
 _CERTAIN = 100.0  # gain of such a cause
-_CLASSED = 0.63  # of the time that a diagnosis may take, by which the classes of all are known
+_CLASSED, _DOUBTED = 0.63, 0.9  # of the time that a diagnosis may take, by which classes and doubts are known
 
 
 @dataclass(frozen=True)
@@ -175,8 +175,11 @@ def doubted(found: Search) -> Search:
         judged.append(replace(cause, doubtful=doubtful))
     doubts = {cause.effect.name for cause in judged if cause.doubtful}
     certain = tuple(item for item in chosen if item[0].name not in doubts)
-    if doubts:
-        judged = [replace(one, doubtful=one.doubtful or _undone(fit, certain, one.effect)) for one in judged]
+    with fit.work.until(_DOUBTED, "testing whether causes hold without hints"):
+        if doubts:
+            judged = [
+                replace(one, doubtful=one.doubtful or _undone(fit, certain, one.effect)) for one in judged
+            ]
     return replace(found, causes=tuple(judged))
 
 
