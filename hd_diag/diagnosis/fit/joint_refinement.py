@@ -47,7 +47,7 @@ def settle(fit: LinearisedFit, chosen: Chosen, rounds: int = 3, learn: bool = Tr
         beta, covariance, _ = fit.fit(chosen)
         step = beta[: fit_parameters.COUNT]
         away = step / np.sqrt(np.diag(covariance)[: fit_parameters.COUNT] + 1e-12)
-        longer = _longer(away, last, taken) if last.any() and not fit.data.given else fit.longer
+        longer = _longer(away, last, taken) if taken and not fit.data.given else fit.longer
         last = away
         # The fit itself still adds a step this small, linearly.
         if longer * np.max(np.abs(away)) < _LINEAR:
