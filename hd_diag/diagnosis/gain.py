@@ -125,7 +125,8 @@ class Misfit(NamedTuple):
 def held_out(record: Record) -> tuple[Rows, str]:
     """Rows that no fit sees, shape (n,), and in words which: whole recordings or runs, or stretches.
 
-    Never the last: a slow drift is foretold from what comes before and after.
+    Never the last nor the first: a slow drift is foretold from what comes before and after, and what went
+    before a record began, which friction remembers, is known to nobody.
     """
     bags = np.unique(record.bag)
     if bags.size >= _HELD_OUT:
@@ -142,8 +143,9 @@ def held_out(record: Record) -> tuple[Rows, str]:
 
 
 def _every_fourth(number: Integers, count: int) -> Rows:
-    """Rows of the parts that are held out, by the number of each row's part; the last part is none."""
-    return np.asarray((number - count) % _HELD_OUT == _HELD_OUT // 2)
+    """Rows of the parts that are held out, by the number of each row's part; first and last are none."""
+    middle = (count + _HELD_OUT // 2) % _HELD_OUT or _HELD_OUT // 2
+    return np.asarray(number % _HELD_OUT == middle)
 
 
 def renumbered(record: Record) -> Record:

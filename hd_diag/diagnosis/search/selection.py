@@ -154,6 +154,7 @@ def _next(
     that explain something only together.
     """
     terms = ranked(fit, chosen, [term for term in _unmodelled(chosen) if term.name not in refused])[:2]
+    first = [*best[:3], *sorted(best[3:], key=lambda one: -one.surprise)[:1]]
     likely = [one for one in best[:1] if by_chance(one, family) <= FAMILY_ERROR and free(one.effect)]
     leading = [one for one in terms[:1] if isinstance(one.effect, UnmodelledTerm) and one.effect.predictive]
     if ahead := bool(best and leading):  # of a cause that is not settled the gain says little
@@ -161,7 +162,7 @@ def _next(
         ahead = best[0].surprise < most and _when_settled(fit, chosen, best[0], fit)[0] < most
     return (
         (passing(fit, chosen, leading, family) if ahead else None)
-        or passing(fit, chosen, best[:3], family)
+        or passing(fit, chosen, first, family)
         or passing(fit, chosen, [_between_grid_points(fit, chosen, one) for one in likely], family)
         or passing(fit, chosen, terms, family)
         or beside_another(fit, chosen, best, family)
