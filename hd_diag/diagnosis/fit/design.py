@@ -251,12 +251,19 @@ def holds(gain: Floats, predicted: Floats) -> bool:
     Returns
     -------
     bool
-        If the mean over the blocks is beyond their scatter, or the sum is beyond what noise explains and
-        comes from blocks that agree: a cause may show at few speeds or torques only.
+        If more than half of what others foretell is there, which is worth to be foretold: beyond the scatter
+        of the blocks, which count by what is foretold of them; or beyond what noise explains, from blocks
+        that agree: a cause may show at few speeds or torques only.
     """
-    beyond_noise = float(gain.sum()) > 2.0 * _ONE_PER_CENT * float(np.sqrt(max(predicted.sum(), 0.0)))
-    agreeing = float(predicted[gain < 0.0].sum()) <= _DISAGREEING * float(predicted.sum())
-    return lower_bound(gain) > 0.0 or (beyond_noise and agreeing)
+    whole = float(predicted.sum())
+    if gain.size < 2 or whole <= 0.0:
+        return False
+    share = 0.5 * (1.0 + float(gain.sum()) / whole)
+    away = 0.5 * (gain + predicted) - share * predicted
+    noise, scatter = (float(np.sqrt(one)) / whole for one in (whole, away @ away))
+    agreeing = float(predicted[gain < 0.0].sum()) <= _DISAGREEING * whole
+    beyond_scatter = share - 0.5 > stats.t.ppf(0.99, gain.size - 1) * max(scatter, noise)
+    return bool(beyond_scatter or (agreeing and share - 0.5 > _ONE_PER_CENT * noise))
 
 
 def interval(gains: Floats, rng: np.random.Generator, over: Floats | None = None) -> tuple[float, float]:

@@ -158,12 +158,16 @@ def keeping(fit: LinearisedFit, chosen: Chosen, names: Collection[str]) -> tuple
 
 
 def is_displaced(fit: LinearisedFit, chosen: Chosen) -> bool:
-    """Whether there is an eccentricity by itself: without one a runout explains only what it is not."""
+    """Whether there is an eccentricity by itself: without one a runout explains only what it is not.
+
+    Or, where both show plainly by their product, a little of either.
+    """
     return _displaced(fit, *_away(fit, chosen))
 
 
 def _displaced(fit: LinearisedFit, away: Floats, spread: Floats) -> bool:
-    return _eccentric(fit) or _certainty(away, spread, ["eccentricity"]) > _NOISE["eccentricity"]
+    alone, together = (_certainty(away, spread, names) for names in (["eccentricity"], sorted(DISPLACEMENTS)))
+    return _eccentric(fit) or alone > _NOISE["eccentricity"] or together > PLAIN
 
 
 def _undisplaced(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, list[Floats]]:

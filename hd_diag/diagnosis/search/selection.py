@@ -112,7 +112,7 @@ def _rounds(
         fit.work.tell(_LAST - (_LAST - _FIRST) * _ROUND**number, f"looking for cause {len(chosen) + 1}")
         fit = fit.recentred()
         best = candidates(fit, chosen) if _count_named(chosen) < _MOST_CAUSES else []
-        if not chosen and begun and (turned := _with_torque_zero(fit, best, begun)):
+        if not chosen and begun and (turned := _with_torque_zero(fit, begun)):
             fit, best = turned
         else:
             if not chosen and speed_dependent(fit):
@@ -246,26 +246,26 @@ def _ranked_when_settled(
     return trials[0][1] if trials else fit, [one for _, _, one in trials]
 
 
-def _with_torque_zero(
-    fit: LinearisedFit, best: list[Candidate], begun: Refit
-) -> tuple[LinearisedFit, list[Candidate]] | None:
+def _with_torque_zero(fit: LinearisedFit, begun: Refit) -> tuple[LinearisedFit, list[Candidate]] | None:
     """Fit and candidates led by an offset of the torque, if it explains more than any; None otherwise.
 
     An offset that puts many torques on the other flank is out of reach of steps from the reported torque; the
-    fit from many starts finds it.
+    fit from many starts finds it. All are compared on rows where the torque is clear of zero with it, too.
     """
     torque, effects = fit.data.record.torque, by_name(fit, (_ZERO,))
     if not effects or np.mean((torque > 0.0) != (torque + begun.torque_zero > 0.0)) < _TURNED:
         return None
     item = effects[0], ()
-    there = fit.moved(begun.parameters).beside(((item, np.array([begun.torque_zero])),))
-    there = settle(there, (item,), learn=False)
-    before, after = fit.deviance(()), there.deviance((item,))
-    if before - after < max((one.gain for one in best), default=0.0):
+    present = ((item, np.array([begun.torque_zero])),)
+    clear = settle(fit.clear_of(fit.effects.possible_torques(present)), ())
+    there = settle(clear.moved(begun.parameters).beside(present), (item,), learn=False)
+    before, after = clear.deviance(()), there.deviance((item,))
+    rivals = candidates(clear, ())
+    if before - after < max((one.gain for one in rivals), default=0.0):
         return None
     gain, rows = before - after, int(np.count_nonzero(there.residual_white))
     chance, size = f_test(before, after, 1, rows, COUNT + 1), surprise(gain * rows / after, 1)
-    return there, [Candidate(*item, gain, chance, size), *best]
+    return there, [Candidate(*item, gain, chance, size), *rivals]
 
 
 def _imitated_by_parameters(fit: LinearisedFit, chosen: Chosen, plain: list[Candidate]) -> list[Candidate]:
