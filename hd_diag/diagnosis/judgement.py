@@ -96,9 +96,9 @@ class Answer:
 
     @property
     def vague(self) -> bool:
-        """Whether hints stand beside what may be more than noise: a displacement not plain may be theirs."""
+        """Whether more than noise may be left: a displacement that is not plain may be a part of that."""
         left = self.diagnosis.misfit
-        return bool(left and left.suspected and self.diagnosis.hints)
+        return bool(left and left.suspected)
 
     @cached_property
     def changes(self) -> list[Change]:

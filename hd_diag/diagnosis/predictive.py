@@ -26,6 +26,7 @@ from hd_diag.diagnosis.search.unexplained import with_table
 
 _KEPT = 0.7  # of the time that a diagnosis may take, by which these must end
 _WORSE = 1.02  # times the residual of a simpler model: then data speak against the richer one
+_MUCH_WORSE = 1.3  # the same as the model runs, when its signals are late or smoothed
 
 
 class Tried(NamedTuple):
@@ -78,7 +79,8 @@ def most_predictive(
                 break
             fewer = replace(fewer, causes=causes(fewer.fit, fewer.chosen, fewer.rivals, rng))
             best, found = tried(*kept_parameters(fewer.fit, fewer.chosen), fewer), fewer
-    if found.causes and best.rms.by_causes > _WORSE * best.rms.without_causes:
+    least = best.rms.without_causes
+    if found.causes and (best.rms.by_causes > _WORSE * least or best.rms.named > _MUCH_WORSE * least):
         rest = found.unmodelled
         found = Search(settle(plain, rest) if rest else plain, (), rest)
         best = tried(*kept_parameters(found.fit, rest), found)

@@ -11,7 +11,7 @@ from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit.joint_refinement import free, polished, sensible, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.search.acceptance import OVERSTATED
-from hd_diag.diagnosis.search.causes import CLASS_DEVIANCE, left_out
+from hd_diag.diagnosis.search.causes import CLASS_DEVIANCE, Cause, left_out
 from hd_diag.diagnosis.search.ranking import Projector, by_name, ranked
 from hd_diag.diagnosis.search.unmodelled_terms import OUTPUT_LINES, OutputLine, UnmodelledTerm
 from hd_diag.effects.effect import Effect, Stage
@@ -79,6 +79,21 @@ def swapped(fit: LinearisedFit, chosen: Chosen, rivals: set[str]) -> tuple[Linea
         fit, there = _settled(fit, chosen), _settled(there, trial)
         if _priced(there, trial) < _priced(fit, chosen) - CLASS_DEVIANCE:
             fit, chosen = refined(there, trial)
+    return fit, chosen
+
+
+def one_for_two(fit: LinearisedFit, chosen: Chosen, found: Sequence[Cause]) -> tuple[LinearisedFit, Chosen]:
+    """One cause in place of two that each might be it, where it explains as much as both."""
+    names = [name for cause in found for name in cause.alike[1:]]
+    for name in dict.fromkeys(name for name in names if names.count(name) > 1):
+        shared = {cause.effect.name for cause in found if name in cause.alike}
+        others = tuple(item for item in chosen if item[0].name not in shared)
+        without = fit.corrected(others)
+        for one in ranked(without, others, by_name(fit, (name,))):
+            trial = (*others, (one.effect, one.nonlinear))
+            there = _settled(without.corrected(trial), trial)
+            if there.deviance(trial) < fit.deviance(chosen) + CLASS_DEVIANCE:
+                return finished_in_time(there, trial)
     return fit, chosen
 
 

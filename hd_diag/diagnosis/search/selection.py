@@ -21,6 +21,7 @@ from hd_diag.diagnosis.search.exchange import (
     deviance_of,
     finished_in_time,
     on_certain_rows,
+    one_for_two,
     refined,
     swapped,
 )
@@ -88,8 +89,11 @@ def search(
     fit, chosen = finished_in_time(settle(fit, chosen), chosen)
     if (fewer := needed(fit, chosen)) != chosen:
         fit, chosen = finished_in_time(settle(fit, fewer), fewer)
-    unmodelled = tuple(item for item in chosen if item[0].given or isinstance(item[0], UnmodelledTerm))
     found = causes(fit, chosen, rivals, rng)
+    fit, fewer = one_for_two(fit, chosen, found)
+    if fewer != chosen:
+        chosen, found = fewer, causes(fit, fewer, rivals, rng)
+    unmodelled = tuple(item for item in chosen if item[0].given or isinstance(item[0], UnmodelledTerm))
     return Search(fit, found, unmodelled, (), frozenset(rivals), family_size(fit))
 
 
