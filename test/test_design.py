@@ -181,6 +181,16 @@ def test_two_of_many_blocks_hold(gain: tuple, predicted: tuple, expected: bool) 
     assert holds(*many) is expected
 
 
+def test_blocks_count_by_what_is_foretold_of_them() -> None:
+    """A torque's zero, that a few turns of the motion show: gains scatter by more than their mean."""
+    gain = np.fromstring("-15 0 15 60 35 55 -1 -17 10 6 0 1 -3 6 -5 4 25 186 12 10 8 4 5 168", sep=" ")
+    foretold = np.fromstring("31 5 6 100 14 36 6 5 3 2 3 3 5 5 3 12 22 136 5 5 4 5 5 75", sep=" ")
+    assert lower_bound(gain) < 0.0
+    assert holds(gain, foretold)
+    assert not holds(gain - foretold, foretold)
+    assert not holds(np.where(foretold == 136.0, -gain, gain), foretold)
+
+
 def test_inverse_of_columns_of_any_scale() -> None:
     x, _, _ = problem()
     scale = 10.0 ** np.array([-9, 3, 0, -4, 6])

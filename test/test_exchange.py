@@ -1,6 +1,7 @@
 """Chosen causes exchanged for better ones."""
 
 import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,15 @@ from benches import EFFECTS, POINT, bench, of, swinging
 from joint_records import ARCSEC, NOISE
 
 from hd_diag.diagnosis.fit.joint_refinement import settle
-from hd_diag.diagnosis.search.exchange import at_best_choices, deviance_of, finished_in_time, refined, swapped
+from hd_diag.diagnosis.search.causes import causes
+from hd_diag.diagnosis.search.exchange import (
+    at_best_choices,
+    deviance_of,
+    finished_in_time,
+    one_for_two,
+    refined,
+    swapped,
+)
 from hd_diag.effects.signals import Signals
 
 
@@ -34,6 +43,32 @@ def test_a_shape_of_many_coefficients_gives_way_to_one_cause_at_other_parameters
     found, one = swapped(fit, chosen, names)
     assert [effect.name for effect, _ in one] == [wear.name]
     assert found.fit(one)[0][found.places(one)[0]] == pytest.approx(np.array([4e-6]), rel=0.1)
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_one_cause_that_two_might_be_takes_their_place_if_it_explains_as_much(own: bool) -> None:
+    """A pitch error of which an off-centre encoder and an oval spline explain most; and both of these."""
+    pitch, read, form = (
+        EFFECTS[name]
+        for name in ("circular_spline_pitch", "input_encoder_eccentricity", "circular_spline_form")
+    )
+    sizes = np.zeros(pitch.size)
+    sizes[:6] = 2e-6, 1e-6, 1.5e-6, 0.5e-6, 0.4e-6, 0.3e-6
+    reads = of(read, amplitude=8.0 * ARCSEC, direction=1.0, second_amplitude=0.0, second_direction=0.0)
+    oval = np.array([0.0, 0.0, 1.44e-6, 1.08e-6, 0.0, 0.0])
+    parts = (
+        (lambda signals: pitch.response(signals, sizes, ()),)
+        if own
+        else (reads, lambda signals: form.response(signals, oval, (0.0,)))
+    )
+    chosen = ((read, ()), (form, (0.0,)))
+    fit = settle(bench(*parts), chosen, 8)
+    found = causes(fit, chosen, (), np.random.default_rng(0))
+    shared = [replace(cause, alike=(*cause.alike, pitch.name)) for cause in found]
+    there, one = one_for_two(fit, chosen, shared)
+    assert [effect.name for effect, _ in one] == ([pitch.name] if own else [read.name, form.name])
+    assert there.deviance(one) < fit.deviance(chosen) + 10.0
+    assert one_for_two(fit, chosen, shared[:1]) == (fit, chosen)
 
 
 def test_a_slot_beside_the_damaged_one_is_given_up_for_it() -> None:

@@ -14,7 +14,7 @@ from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.record import Record, prepare
 from hd_diag.diagnosis.search.causes import Search, parameters_of
-from hd_diag.diagnosis.search.kept_parameters import GROUPS, Kept, keeping, kept_parameters
+from hd_diag.diagnosis.search.kept_parameters import DISPLACEMENTS, GROUPS, Kept, keeping, kept_parameters
 
 AS_CONFIGURED = fit_parameters.vector(CONFIGURED, CONFIGURED)
 
@@ -100,6 +100,18 @@ def test_beside_no_eccentricity_none_is_claimed(seed: int) -> None:
     found = diagnose(record, CONFIGURED, np.random.default_rng(0))
     assert {"eccentricity", "runout"} <= found.kept.keys()
     assert 0.1e-6 < found.kept["eccentricity"] < 10e-6
+
+
+def test_displacements_that_show_by_their_product_are_free() -> None:
+    """0.4 um of eccentricity, which is not certain by itself, beside 6 um of runout."""
+    both = AS_CONFIGURED + np.array([0.3, 0.25, 4.0, 4.5, 0.0, 0.0, 0.0])
+    record = swinging(20.0, 0, fit_parameters.drive_of(both, CONFIGURED))
+    fit = settle(linearise(record, CONFIGURED, both), (), 8)
+    assert not DISPLACEMENTS & kept_parameters(fit, ())[1].bounds.keys()
+    for one in (both * [1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 1.0], both * [0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0]):
+        record = swinging(20.0, 0, fit_parameters.drive_of(one, CONFIGURED))
+        fit = settle(linearise(record, CONFIGURED, one), (), 8)
+        assert kept_parameters(fit, ())[1].bounds.keys() >= DISPLACEMENTS
 
 
 def test_intervals_reach_the_minima_that_do_as_well() -> None:

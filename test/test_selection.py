@@ -21,8 +21,9 @@ from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.fit.refit import Refit, refit
 from hd_diag.diagnosis.gain import MISFIT, Rms, held_out
 from hd_diag.diagnosis.predictive import Tried, most_predictive
-from hd_diag.diagnosis.record import prepare
+from hd_diag.diagnosis.record import Record, prepare
 from hd_diag.diagnosis.search import causes as search_causes
+from hd_diag.diagnosis.search.acceptance import passing
 from hd_diag.diagnosis.search.causes import Search, causes, doubted, left_out, motor_deviations, parameters_of
 from hd_diag.diagnosis.search.kept_parameters import GROUPS, Kept, kept_parameters
 from hd_diag.diagnosis.search.minima import globally_refitted, speed_dependent
@@ -43,6 +44,13 @@ from hd_diag.effects.signals import Signals
 
 NOISE = np.random.default_rng(0).normal(0.0, ARCSEC, 6000)
 (CREEP,) = (term for term in UNMODELLED_TERMS if term.name == "creep")
+
+
+def challenging(family: str, seed: int) -> Record:
+    """A record of the benchmark's generator."""
+    made = families.made(family, seed)
+    columns = (made.time, made.input_angle, made.output_angle, made.torque, made.temperature, made.part)
+    return prepare(*columns, RATIO)
 
 
 def left(speed: np.ndarray, rest: np.ndarray) -> LinearisedFit:
@@ -162,6 +170,19 @@ def test_a_cause_is_settled_before_a_term_is_put_in_its_place() -> None:
     found = _next(fit, (), family_size(fit), best, ())
     assert found is not None
     assert found.effect.name == "torque_offset"
+
+
+def test_what_explains_most_at_once_is_tried_though_others_come_first_when_settled() -> None:
+    """Beside parameters that are far off anything settled explains more than a cause does by itself."""
+    rubs = EFFECTS["viscous_windup"]
+    fit = bench(of(rubs, friction=1.5, exponent=1.0))
+    best = candidates(fit, ())
+    true = best[0]
+    assert true.effect.name == rubs.name
+    failing = [one for one in best if passing(fit, (), [one], family_size(fit)) is None]
+    assert true.surprise > failing[3].surprise
+    found = _next(fit, (), family_size(fit), [*failing[:4], true], set())
+    assert found is true
 
 
 @pytest.mark.parametrize(("settles", "expected"), [(10.0, False), (0.2, True)])
@@ -294,12 +315,25 @@ def test_a_zero_that_puts_torques_on_the_other_flank_is_tried_at_its_size(zero: 
     light = dataclasses.replace(record, torque=shown, reported_torque=shown, output_angle=output)
     fit = settle(linearise(light, CONFIGURED, POINT), ())
     begun = Refit(TRUE, POINT, np.eye(7), True, torque_zero=zero)
-    found = _with_torque_zero(fit, candidates(fit, ()), begun)
+    found = _with_torque_zero(fit, begun)
     assert (found is not None) is led
     if found is not None:
         assert found[1][0].effect.name == "torque_offset"
         assert found[1][0].p_value < 1e-6
         assert np.abs(found[0].parameters - POINT).max() < 1.0
+
+
+def test_a_zero_is_tried_where_the_torque_is_clear_of_zero_with_it() -> None:
+    """A fifth of the torques is on the other flank, and rows about the real zero tell less than nothing."""
+    record = challenging("robot_pair", 1_000_000_833)
+    test, _ = held_out(record)
+    begun = refit(record.select(~test), CONFIGURED, np.random.default_rng(0))
+    fit = settle(linearise(record, CONFIGURED, begun.parameters, rows=~test), ())
+    found = _with_torque_zero(fit, begun)
+    assert found is not None
+    assert found[1][0].effect.name == "torque_offset"
+    (zero,) = found[0].fit(((found[1][0].effect, ()),))[0][-1:]
+    assert zero == pytest.approx(0.82, abs=0.2)
 
 
 def test_what_is_tried_in_a_cause_s_place_starts_where_the_cause_does() -> None:

@@ -79,8 +79,9 @@ def most_predictive(
                 break
             fewer = replace(fewer, causes=causes(fewer.fit, fewer.chosen, fewer.rivals, rng))
             best, found = tried(*kept_parameters(fewer.fit, fewer.chosen), fewer), fewer
-    least = best.rms.without_causes
-    if found.causes and (best.rms.by_causes > _WORSE * least or best.rms.named > _MUCH_WORSE * least):
+    rms = best.rms
+    worse = rms.by_causes > _WORSE * rms.without_causes or rms.named > _MUCH_WORSE * rms.without_causes
+    if found.causes and worse:
         rest = found.unmodelled
         found = Search(settle(plain, rest) if rest else plain, (), rest)
         best = tried(*kept_parameters(found.fit, rest), found)

@@ -13,8 +13,6 @@ from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.recursions import lag
 from hd_diag.effects.signals import Signals
 
-_OF_WAY = 5.0  # times the way: a bristle that is elastic at first turns round so late, by the end of its law
-
 # Time [s] and input angle [rad] of the last sample, None before the first; z.
 State = tuple[tuple[float, float] | None, float]
 
@@ -29,11 +27,6 @@ class CoulombWindup(MeshTorque):
     def start(self, nonlinear: Values) -> State:
         """No sample yet; the bristle is straight."""
         return None, 0.0
-
-    def extremes(self, nonlinear: Values) -> tuple[Values, ...]:
-        """The bristle turns round over a fifth of the way, or five times as much, kept at rest before."""
-        way, creep, *rest = nonlinear
-        return (way / _OF_WAY, creep, *rest), (way * _OF_WAY, 0.0, *rest)
 
     def torque_step(self, state: State, signals: Signals, nonlinear: Values) -> Stepped:
         """Let the bristle follow, exactly while the speed is even; see :meth:`MeshTorque.torque_step`."""

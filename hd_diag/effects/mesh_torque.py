@@ -44,10 +44,6 @@ class MeshTorque(Effect):
             return self.shape(signals, nonlinear)
         return by_run(signals, lambda run: self.torque_step(self.start(nonlinear), run, nonlinear)[0])
 
-    def extremes(self, nonlinear: Values) -> tuple[Values, ...]:
-        """Nonlinear values between which a real law may be while it turns round, whatever its shape."""
-        return ()
-
     def more(self, columns: Floats, coefficients: Floats) -> Floats:
         """Real less reported torque [N m], shape (n,), by columns of :meth:`torque`."""
         return np.asarray(columns @ coefficients)

@@ -105,25 +105,10 @@ class PresentEffects:
         return mesh_torques(self.data.model, self.parameters, sized).more
 
     def possible_torques(self, sized: Sized) -> Floats:
-        """The same, and what is added beside each one left out, for its law may be another there; (n, k).
-
-        Last what brings it nearest to zero while a friction turns round; see :meth:`MeshTorque.extremes`.
-        """
+        """The same, and what is added beside each one left out, for its law may be another there; (n, k)."""
         sought = [one for one in sized if isinstance(one[0][0], MeshTorque) and not one[0][0].given]
         parts = [sized, *(tuple(other for other in sized if other is not one) for one in sought)]
-        ways = np.column_stack([self.torque(part) for part in parts])
-        turning = [
-            tuple(((effect, other), size) if one is changed else one for one in sized)
-            for changed in sought
-            for (effect, nonlinear), size in (changed,)
-            for other in effect.extremes(nonlinear)
-        ]
-        if not turning:
-            return ways
-        reported = self.data.source.torque[:, None]
-        total = reported + np.column_stack([ways[:, :1], *(self.torque(part) for part in turning)])
-        nearest = np.clip(0.0, total.min(axis=1), total.max(axis=1))
-        return np.column_stack((ways, nearest - reported[:, 0]))
+        return np.column_stack([self.torque(part) for part in parts])
 
     def together(self, sized: Sized) -> Floats:
         """Part of several effects in the error, torques added up before the mesh bears them; (n,) [rad]."""
