@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from benches import CONFIGURED, POINT, bench, swinging
+from benches import CONFIGURED, EFFECTS, POINT, bench, swinging
 from challenge import families
 from joint_records import ARCSEC, RATIO
 
@@ -100,6 +100,23 @@ def test_beside_no_eccentricity_none_is_claimed(seed: int) -> None:
     found = diagnose(record, CONFIGURED, np.random.default_rng(0))
     assert {"eccentricity", "runout"} <= found.kept.keys()
     assert 0.1e-6 < found.kept["eccentricity"] < 10e-6
+
+
+def test_under_torque_of_one_sign_the_datum_s_other_minimum_is_looked_for() -> None:
+    """An eccentricity of 8 um is plain there, and a datum 12 um off does better than where the fit is."""
+    made = families.made("robot_single", 1_000_000_815)
+    columns = (made.time, made.input_angle, made.output_angle, made.torque, made.temperature, made.part)
+    record = prepare(*columns, RATIO)
+    assert record.torque.min() > 5.0
+    chosen = ((EFFECTS["encoder_interpolation"], (float(made.causes[0].lines),)),)
+    beside = AS_CONFIGURED + np.array([3.4, 7.4, 0.2, 0.0, -2.6, 0.6, 1.0])
+    fit = settle(linearise(record, CONFIGURED, beside).with_noise(chosen), chosen, 8)
+    true = 1e6 * made.base.datum
+    assert abs(fit.parameters[4] - true) > 8.0
+    found, kept = kept_parameters(fit, chosen)
+    assert found.parameters[4] == pytest.approx(true, abs=1.0)
+    assert found.deviance(chosen) < fit.deviance(chosen) - 12.0
+    assert "circular_spline_datum" not in kept.bounds
 
 
 def test_displacements_that_show_by_their_product_are_free() -> None:

@@ -39,7 +39,15 @@ _NOISE = {"eccentricity": 20.0, "runout": 20.0}  # fall of the likelihood that n
 _USUAL_NOISE = 6.0  # that of parameters of which a wrong value does no harm
 _PREDICTED = 0.5  # of that fall, in blocks held out
 _AGREEING = 0.5  # of the gain, that may be lost in some blocks
-_DATUMS = (-8.0, 0.0, 8.0)  # from the configured one, with which other minima are looked for
+_DATUMS = (
+    -12.0,
+    -8.0,
+    -4.0,
+    0.0,
+    4.0,
+    8.0,
+    12.0,
+)  # from the one at hand, with which other minima are looked for
 _ONE_SIGN = 0.05  # of the rows, that torque of the other sign has at most
 
 
@@ -98,9 +106,9 @@ class Kept:
         fit, chosen = whole.fit, whole.chosen
         for rival in self.rivals:
             yield settle(replace(fit.moved(rival), held=()), chosen, learn=False)
-        pulled = float(np.mean(fit.signals.torque > 0.0))
-        if "eccentricity" in self.bounds and DATUM not in self.held and min(pulled, 1.0 - pulled) < _ONE_SIGN:
-            for start in _datums(fit.data.configured):
+        if "eccentricity" in self.bounds and DATUM not in self.held and _one_sided(fit):
+            configured = fit_parameters.vector(fit.data.configured, fit.data.configured)
+            for start in _datums(fit, configured):
                 yield settle(fit.moved(start), chosen, 5, learn=False)
 
 
@@ -121,7 +129,7 @@ def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, 
         The same with these groups held.
     kept : Kept
     """
-    fit, rivals = _undisplaced(fit, chosen)
+    fit, rivals = _best_minimum(fit, chosen)
     away, spread = _away(fit, chosen)
     undetermined = [name for name, numbers in GROUPS.items() if set(numbers) <= set(fit.data.held)]
     certain = {name: _certainty(away, spread, [name]) for name in GROUPS if name not in undetermined}
@@ -170,17 +178,19 @@ def _displaced(fit: LinearisedFit, away: Floats, spread: Floats) -> bool:
     return _eccentric(fit) or alone > _NOISE["eccentricity"] or together > PLAIN
 
 
-def _undisplaced(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, list[Floats]]:
-    """Another minimum near the configured displacements, if it is better, and the minima that do as well.
+def _best_minimum(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, list[Floats]]:
+    """Another minimum, if it is better, and the minima that do as well.
 
-    Noise makes minima beside them. There a datum that one direction of torque hardly moves has minima of its
-    own.
+    Noise makes minima beside the configured displacements. Torque of one sign hardly moves the datum, which
+    has minima of its own there.
     """
     away, spread = _away(fit, chosen)
-    fits = [fit]
+    starts = []
     if _certainty(away, spread, ["eccentricity"]) <= PLAIN:
-        starts = _datums(fit.data.configured)
-        fits += [settle(fit.moved(start), chosen, rounds=5, learn=False) for start in starts]
+        starts += _datums(fit, fit_parameters.vector(fit.data.configured, fit.data.configured))
+    if _one_sided(fit):
+        starts += _datums(fit, fit.parameters)
+    fits = [fit, *(settle(fit.moved(start), chosen, rounds=5, learn=False) for start in starts)]
     fits.sort(key=lambda one: one.deviance(chosen))
     worst = _as_good(fits[0], chosen)
     return fits[0], distinct([_fitted(one, chosen) for one in fits if one.deviance(chosen) < worst])
@@ -192,11 +202,17 @@ def _as_good(fit: LinearisedFit, chosen: Chosen) -> float:
     return left + DISTINCT * max(left / np.count_nonzero(fit.residual_white), 1.0)
 
 
-def _datums(configured: Drive) -> list[Floats]:
-    """The configured drive's parameters with other datums."""
-    found = np.tile(fit_parameters.vector(configured, configured), (len(_DATUMS), 1))
+def _datums(fit: LinearisedFit, parameters: Floats) -> list[Floats]:
+    """Parameters (7,) with other datums."""
+    found = np.tile(parameters, (len(_DATUMS), 1))
     found[:, DATUM] += _DATUMS
-    return [fit_parameters.admissible(one, configured) for one in found]
+    return [fit_parameters.admissible(one, fit.data.configured) for one in found]
+
+
+def _one_sided(fit: LinearisedFit) -> bool:
+    """Whether the torque has hardly another sign."""
+    pulled = float(np.mean(fit.signals.torque > 0.0))
+    return min(pulled, 1.0 - pulled) < _ONE_SIGN
 
 
 def _away(fit: LinearisedFit, chosen: Chosen) -> tuple[Floats, Floats]:
