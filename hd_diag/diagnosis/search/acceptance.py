@@ -28,7 +28,6 @@ OVERSTATED = 3.0
 LEAST_SIZE = 0.25 * ARCSEC
 """A cause smaller than this beside the refitted model is of no practical size [rad rms]."""
 
-_AT_FIRST = 0.5  # of the least size, that a candidate has to have while others hold a part of it
 _SHAPE = 0.08  # of a smooth law's size, to which its shape is known
 _LATE = 0.002  # the same of a delay
 _SHAPES = 8  # other shapes of a smooth law that are tried at most
@@ -51,7 +50,7 @@ def passing(fit: LinearisedFit, chosen: Chosen, found: list[Candidate], family: 
         if by_chance(candidate, family) > FAMILY_ERROR:
             continue
         effect, nonlinear = candidate.effect, candidate.nonlinear
-        large = size(fit, chosen, effect, nonlinear) >= _AT_FIRST * LEAST_SIZE
+        large = size(fit, chosen, effect, nonlinear) >= LEAST_SIZE
         itself = sensible(fit, (*chosen, (effect, nonlinear)))[-1]
         if large and itself and _confirmed(fit, chosen, effect, nonlinear):
             return candidate
