@@ -17,7 +17,7 @@ from hd_diag.diagnosis.diagnosis import _described
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.fit_parameters import COMPLIANCE, CUP, DATUM
 from hd_diag.diagnosis.fit.joint_refinement import settle
-from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
+from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit, linearise
 from hd_diag.diagnosis.fit.refit import Refit, refit
 from hd_diag.diagnosis.gain import MISFIT, Rms, held_out
 from hd_diag.diagnosis.predictive import Tried, most_predictive
@@ -387,6 +387,17 @@ def test_a_cause_that_no_step_leads_back_to_is_compared_with_what_is_settled_in_
     rivals = {"wear_backlash", "circular_spline_pitch", "circular_spline_form", "coupling_misalignment"}
     (cause,) = causes(fit, chosen, rivals, np.random.default_rng(0))
     assert cause.alike == ("torque_offset",)
+
+
+def test_gain_and_zero_of_a_torque_that_never_changes_are_one_class() -> None:
+    """By either the mesh bears less than 2 N m, though steps lead from one to the other nowhere near."""
+    chosen: Chosen = ((EFFECTS["torque_gain"], ()),)
+    varying = bench(of(chosen[0][0], relative_error=0.3)).data.source
+    for record, expected in ((challenging("unloaded", 1_000_000_733), True), (varying, False)):
+        begun = refit(record, CONFIGURED, np.random.default_rng(0))
+        fit = settle(linearise(record, CONFIGURED, begun.parameters), chosen, 8)
+        (cause,) = causes(fit, chosen, {"torque_offset"}, np.random.default_rng(0))
+        assert ("torque_offset" in cause.alike) is expected
 
 
 def test_parameters_that_held_out_rows_speak_against_are_not_kept() -> None:

@@ -24,7 +24,7 @@ from hd_diag.diagnosis.search.acceptance import (
     wanders,
 )
 from hd_diag.diagnosis.search.order_table import OrderRow, refitted_rows
-from hd_diag.diagnosis.search.ranking import Candidate, by_name, family_size, ranked
+from hd_diag.diagnosis.search.ranking import Candidate, by_name, family_size, ranked, same_columns
 from hd_diag.diagnosis.search.remainder import Remainder
 from hd_diag.diagnosis.search.unmodelled_terms import UNMODELLED_TERMS, UnmodelledTerm
 from hd_diag.effects.effect import Effect, Stage
@@ -318,7 +318,8 @@ def _alike(fit: LinearisedFit, chosen: Chosen, index: int, rivals: Collection[st
             continue
         if candidate.effect.stage == Stage.TORQUE and not fit.data.testable(candidate.effect)[0]:
             there = settle(without.corrected(trial), trial, _TO_ITS_SIZE, learn=False)
-            if there.deviance(trial) - itself.deviance(again) < _NEARLY_AS_MUCH * gain:
+            as_much = there.deviance(trial) - itself.deviance(again) < _NEARLY_AS_MUCH * gain
+            if as_much or same_columns(without, chosen[index], trial[-1]):
                 found.append(name)
             continue
         if candidate.gain < far:

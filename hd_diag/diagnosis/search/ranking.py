@@ -10,11 +10,13 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit.design import f_test, orthonormal, solve, surprise
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
+from hd_diag.diagnosis.fit.present_effects import Item
 from hd_diag.effects.effect import Effect, Stage
 
 _LOOKED_AT = 5.0  # surprise from which a candidate is looked at, at its size
 _NEAR = 0.1  # of the best candidate's gain, from which another may be the better one at its size
 _SECANTS = 3  # steps to the size of an effect that is not proportional to it
+_PARALLEL = 1.0 - 1e-6  # cosine between columns that are the same but for a factor
 _SAME = 0.02  # share of a size, within which a step leads to the same
 
 
@@ -121,6 +123,15 @@ def ranked(fit: LinearisedFit, chosen: Chosen, effects: Sequence[Effect]) -> lis
                 one = _candidate(fit, projector, one.effect, one.nonlinear, gain)
         best.append(one)
     return sorted(best, key=_by_surprise)
+
+
+def same_columns(fit: LinearisedFit, one: Item, other: Item) -> bool:
+    """Whether two effects differ by a factor, as gain and zero of a torque that never changes."""
+    first, second = (fit.columns(*item) for item in (one, other))
+    norms = float(np.linalg.norm(first) * np.linalg.norm(second))
+    return (
+        first.shape[1] == second.shape[1] == 1 and abs(float(first[:, 0] @ second[:, 0])) > _PARALLEL * norms
+    )
 
 
 def _by_surprise(candidate: Candidate) -> float:
