@@ -69,6 +69,9 @@ def test_one_cause_that_two_might_be_takes_their_place_if_it_explains_as_much(ow
     assert [effect.name for effect, _ in one] == ([pitch.name] if own else [read.name, form.name])
     assert there.deviance(one) < fit.deviance(chosen) + 10.0
     assert one_for_two(fit, chosen, shared[:1]) == (fit, chosen)
+    fit.work.seconds = 1e-6
+    assert one_for_two(fit, chosen, shared) == (fit, chosen)
+    assert fit.work.left_out == ["testing one cause in place of two"]
 
 
 def test_a_slot_beside_the_damaged_one_is_given_up_for_it() -> None:

@@ -125,8 +125,8 @@ class Misfit(NamedTuple):
 def held_out(record: Record) -> tuple[Rows, str]:
     """Rows that no fit sees, shape (n,), and in words which: whole recordings or runs, or stretches.
 
-    Never the last nor the first: a slow drift is foretold from what comes before and after, and what went
-    before a record began, which friction remembers, is known to nobody.
+    Never the first nor the last: a slow drift is foretold from what comes before and after; and friction
+    remembers what went before the record, which nobody knows.
     """
     bags = np.unique(record.bag)
     if bags.size >= _HELD_OUT:

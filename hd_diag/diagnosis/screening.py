@@ -304,10 +304,8 @@ def _foretold(record: Record, configured: Drive, unseen: npt.NDArray[np.bool_], 
     """Residual of some rows (n,) by a fit to all others [rad]; samples are chosen by the seed."""
     seen = record.select(~unseen)
     fit = refit(seen, configured, np.random.default_rng(seed), _of_encoders(seen))
-    zeroed = replace(
-        record, torque=record.torque + fit.torque_zero
-    )  # a wrong zero is no other joint's torque
-    return _left(zeroed, fit.drive, unseen)
+    # A wrong zero is no other joint's torque.
+    return _left(replace(record, torque=record.torque + fit.torque_zero), fit.drive, unseen)
 
 
 def _left(record: Record, drive: Drive, test: npt.NDArray[np.bool_]) -> Floats:

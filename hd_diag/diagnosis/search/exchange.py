@@ -22,7 +22,7 @@ _NEAR = 0.1  # of a cause's gain, up to which another may be the better one once
 _FIRST_MOVE = 0.5  # of a grid step, by which a refinement begins
 _BEGIN, _TO_THE_END = 2, 8  # rounds
 _AS_WELL, _HALVINGS = 3.84, 8  # deviance within which 95 % of true values lie; of the way to a usual one
-_REFINED = 0.55  # of the time that a diagnosis may take, by which it must end
+_REFINED, _UNITED = 0.55, 0.65  # of the time that a diagnosis may take, by which they must end
 
 
 def refined(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
@@ -84,6 +84,12 @@ def swapped(fit: LinearisedFit, chosen: Chosen, rivals: set[str]) -> tuple[Linea
 
 def one_for_two(fit: LinearisedFit, chosen: Chosen, found: Sequence[Cause]) -> tuple[LinearisedFit, Chosen]:
     """One cause in place of two that each might be it, where it explains as much as both."""
+    with fit.work.until(_UNITED, "testing one cause in place of two"):
+        fit, chosen = _one_for_two(fit, chosen, found)
+    return fit, chosen
+
+
+def _one_for_two(fit: LinearisedFit, chosen: Chosen, found: Sequence[Cause]) -> tuple[LinearisedFit, Chosen]:
     names = [name for cause in found for name in cause.alike[1:]]
     for name in dict.fromkeys(name for name in names if names.count(name) > 1):
         shared = {cause.effect.name for cause in found if name in cause.alike}

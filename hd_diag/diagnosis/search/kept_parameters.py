@@ -39,15 +39,7 @@ _NOISE = {"eccentricity": 20.0, "runout": 20.0}  # fall of the likelihood that n
 _USUAL_NOISE = 6.0  # that of parameters of which a wrong value does no harm
 _PREDICTED = 0.5  # of that fall, in blocks held out
 _AGREEING = 0.5  # of the gain, that may be lost in some blocks
-_DATUMS = (
-    -12.0,
-    -8.0,
-    -4.0,
-    0.0,
-    4.0,
-    8.0,
-    12.0,
-)  # from the one at hand, with which other minima are looked for
+_DATUMS = np.arange(-12.0, 13.0, 4.0)  # from one at hand, with which other minima are looked for
 _ONE_SIGN = 0.05  # of the rows, that torque of the other sign has at most
 
 

@@ -128,10 +128,10 @@ def ranked(fit: LinearisedFit, chosen: Chosen, effects: Sequence[Effect]) -> lis
 def same_columns(fit: LinearisedFit, one: Item, other: Item) -> bool:
     """Whether two effects differ by a factor, as gain and zero of a torque that never changes."""
     first, second = (fit.columns(*item) for item in (one, other))
+    if not first.shape[1] == second.shape[1] == 1:
+        return False
     norms = float(np.linalg.norm(first) * np.linalg.norm(second))
-    return (
-        first.shape[1] == second.shape[1] == 1 and abs(float(first[:, 0] @ second[:, 0])) > _PARALLEL * norms
-    )
+    return abs(float(first[:, 0] @ second[:, 0])) > _PARALLEL * norms
 
 
 def _by_surprise(candidate: Candidate) -> float:
