@@ -1,7 +1,6 @@
 """Chosen causes exchanged for better ones."""
 
 import dataclasses
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -64,14 +63,30 @@ def test_one_cause_that_two_might_be_takes_their_place_if_it_explains_as_much(ow
     chosen = ((read, ()), (form, (0.0,)))
     fit = settle(bench(*parts), chosen, 8)
     found = causes(fit, chosen, (), np.random.default_rng(0))
-    shared = [replace(cause, alike=(*cause.alike, pitch.name)) for cause in found]
-    there, one = one_for_two(fit, chosen, shared)
+    shared = [dataclasses.replace(cause, alike=(*cause.alike, pitch.name)) for cause in found]
+    there, one = one_for_two(fit, chosen, shared, set())
     assert [effect.name for effect, _ in one] == ([pitch.name] if own else [read.name, form.name])
     assert there.deviance(one) < fit.deviance(chosen) + 10.0
-    assert one_for_two(fit, chosen, shared[:1]) == (fit, chosen)
+    assert one_for_two(fit, chosen, shared[:1], set()) == (fit, chosen)
     fit.work.seconds = 1e-6
-    assert one_for_two(fit, chosen, shared) == (fit, chosen)
+    assert one_for_two(fit, chosen, shared, set()) == (fit, chosen)
     assert fit.work.left_out == ["testing one cause in place of two"]
+
+
+def test_a_flexible_shape_and_another_cause_give_way_to_one_that_is_both() -> None:
+    """A damaged slot, of which harmonics of a pitch error and an oval spline each take a part."""
+    damage, pitch, form = (
+        EFFECTS[name] for name in ("tooth_damage", "circular_spline_pitch", "circular_spline_form")
+    )
+    slots = [slot for (member, slot) in damage.neighbours(bench().signals, (0.0, 2.0)) if member == 0.0]
+    fit = bench(lambda signals: damage.response(signals, np.array([2e-5, 2e-5]), (0.0, slots[1])))
+    chosen = ((pitch, ()), (form, (0.0,)))
+    fit = settle(fit, chosen, 8)
+    found = causes(fit, chosen, (), np.random.default_rng(0))
+    there, one = one_for_two(fit, chosen, found, {damage.name})
+    assert [effect.name for effect, _ in one] == [damage.name]
+    assert there.deviance(one) < fit.deviance(chosen)
+    assert one_for_two(fit, chosen, found, set()) == (fit, chosen)
 
 
 def test_a_slot_beside_the_damaged_one_is_given_up_for_it() -> None:

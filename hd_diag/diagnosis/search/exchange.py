@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from itertools import combinations
 
 import numpy as np
 from scipy.optimize import minimize
@@ -82,24 +83,23 @@ def swapped(fit: LinearisedFit, chosen: Chosen, rivals: set[str]) -> tuple[Linea
     return fit, chosen
 
 
-def one_for_two(fit: LinearisedFit, chosen: Chosen, found: Sequence[Cause]) -> tuple[LinearisedFit, Chosen]:
-    """One cause in place of two that each might be it, where it explains as much as both."""
+def one_for_two(
+    fit: LinearisedFit, chosen: Chosen, found: Sequence[Cause], rivals: Collection[str]
+) -> tuple[LinearisedFit, Chosen]:
+    """One cause in place of two, where it explains as much: what each might be; any, of a flexible shape."""
     with fit.work.until(_UNITED, "testing one cause in place of two"):
-        fit, chosen = _one_for_two(fit, chosen, found)
-    return fit, chosen
-
-
-def _one_for_two(fit: LinearisedFit, chosen: Chosen, found: Sequence[Cause]) -> tuple[LinearisedFit, Chosen]:
-    names = [name for cause in found for name in cause.alike[1:]]
-    for name in dict.fromkeys(name for name in names if names.count(name) > 1):
-        shared = {cause.effect.name for cause in found if name in cause.alike}
-        others = tuple(item for item in chosen if item[0].name not in shared)
-        without = fit.corrected(others)
-        for one in ranked(without, others, by_name(fit, (name,))):
-            trial = (*others, (one.effect, one.nonlinear))
-            there = _settled(without.corrected(trial), trial)
-            if there.deviance(trial) < fit.deviance(chosen) + CLASS_DEVIANCE:
-                return finished_in_time(there, trial)
+        for two in combinations(found, 2):
+            flexible = any(_coefficients(fit, ((one.effect, one.nonlinear),)) >= _FLEXIBLE for one in two)
+            names = {*two[0].alike}.intersection(two[1].alike).union(rivals if flexible else ())
+            others = tuple(item for item in chosen if all(item[0] is not one.effect for one in two))
+            without = fit.corrected(others)
+            known = {effect.name for effect, _ in chosen}
+            for one in ranked(without, others, by_name(fit, names - known))[:_TRIED]:
+                trial = (*others, (one.effect, one.nonlinear))
+                there = _settled(without.corrected(trial), trial)
+                as_much = there.deviance(trial) < fit.deviance(chosen) + CLASS_DEVIANCE
+                if as_much and all(sensible(there, trial)):
+                    return finished_in_time(there, trial)
     return fit, chosen
 
 

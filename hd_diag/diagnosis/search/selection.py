@@ -90,7 +90,7 @@ def search(
     if (fewer := needed(fit, chosen)) != chosen:
         fit, chosen = finished_in_time(settle(fit, fewer), fewer)
     found = causes(fit, chosen, rivals, rng)
-    fit, fewer = one_for_two(fit, chosen, found)
+    fit, fewer = one_for_two(fit, chosen, found, rivals)
     if fewer != chosen:
         chosen, found = fewer, causes(fit, fewer, rivals, rng)
     unmodelled = tuple(item for item in chosen if item[0].given or isinstance(item[0], UnmodelledTerm))
