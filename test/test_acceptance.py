@@ -15,6 +15,7 @@ from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.search.acceptance import (
     FAMILY_ERROR,
     LEAST_SIZE,
+    beside_another,
     chance,
     chance_in_misfit,
     held_out_gain,
@@ -134,16 +135,19 @@ def test_what_may_be_chance_makes_room_for_the_next(made: LinearisedFit) -> None
     assert passing(made, (), [weak, true], 1) == true
 
 
-@pytest.mark.parametrize(("friction", "offset"), [(0.2, 0.2), (0.28, 0.4), (0.36, 0.56), (0.8, 0.8)])
-def test_of_two_causes_about_as_large_one_foretells_blocks_alone(friction: float, offset: float) -> None:
-    """What the other adds scatters from block to block by more than the mean of what this one brings."""
+def test_two_causes_of_which_one_does_not_foretell_blocks_alone_pass_beside_each_other(
+    plain: LinearisedFit,
+) -> None:
     rubs, off = EFFECTS["viscous_windup"], EFFECTS["torque_offset"]
-    fit = bench(of(rubs, friction=friction, exponent=1.0), of(off, offset=offset))
-    found = passing(fit, (), ranked(fit, (), [rubs, off]), 50)
-    assert found is not None
-    chosen = ((found.effect, found.nonlinear),)
-    there = settle(fit, chosen)
-    assert passing(there, chosen, ranked(there, chosen, [rubs, off]), 50) is not None
+    fit = bench(of(rubs, friction=0.36, exponent=1.0), of(off, offset=0.56))
+    both = ranked(fit, (), [rubs, off])
+    assert all(one.p_value < 1e-60 for one in both)
+    alone = [passing(fit, (), [one], 50) for one in both]
+    assert None in alone
+    assert beside_another(fit, (), both, 50) == both[0]
+    failing = both[alone.index(None)]
+    assert beside_another(fit, (), [failing, *(one for one in both if one is not failing)], 50) == failing
+    assert beside_another(plain, (), ranked(plain, (), [rubs, off]), 50) is None
 
 
 def test_slow_noise_of_few_seconds_is_no_cause(made: LinearisedFit) -> None:

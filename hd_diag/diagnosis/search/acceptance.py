@@ -11,7 +11,7 @@ from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.present_effects import Item
 from hd_diag.diagnosis.measured_noise import rounding
 from hd_diag.diagnosis.noise import numbered
-from hd_diag.diagnosis.search.ranking import Candidate, family_size
+from hd_diag.diagnosis.search.ranking import Candidate, family_size, ranked
 from hd_diag.diagnosis.search.unmodelled_terms import UnmodelledTerm
 from hd_diag.diagnosis.stamps import usual_step
 from hd_diag.effects.effect import Effect, Stage
@@ -41,6 +41,7 @@ _CERTAIN_SIZE = 0.5 * ARCSEC  # of a shape that nothing held out can prove [rad 
 _SECONDS = 2.5  # of a mean in which quick noise is gone
 _CHANCE_SHARE = 3.0  # times what noise alone gives to so many columns
 _LASTING_CHANCE = 1e-6
+_TOGETHER = 3  # best candidates that are tried beside each other
 
 
 def passing(fit: LinearisedFit, chosen: Chosen, found: list[Candidate], family: int) -> Candidate | None:
@@ -54,6 +55,24 @@ def passing(fit: LinearisedFit, chosen: Chosen, found: list[Candidate], family: 
         itself = sensible(fit, (*chosen, (effect, nonlinear)))[-1]
         if large and itself and _confirmed(fit, chosen, effect, nonlinear):
             return candidate
+    return None
+
+
+def beside_another(
+    fit: LinearisedFit, chosen: Chosen, found: list[Candidate], family: int
+) -> Candidate | None:
+    """The first of the best that passes beside another one, which passes beside it; see :func:`passing`.
+
+    Where two causes are about as large neither may foretell what the other adds to held-out blocks.
+    """
+    for one in found[:_TOGETHER]:
+        if by_chance(one, family) > FAMILY_ERROR:
+            continue
+        trial = (*chosen, (one.effect, one.nonlinear))
+        others = [other.effect for other in found if other.effect is not one.effect]
+        second = passing(fit, trial, ranked(fit, trial, others)[:_TOGETHER], family)
+        if second and passing(fit, (*chosen, (second.effect, second.nonlinear)), [one], family):
+            return one
     return None
 
 

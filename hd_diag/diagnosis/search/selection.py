@@ -13,7 +13,7 @@ from hd_diag.diagnosis.fit.fit_parameters import COUNT, at_bound
 from hd_diag.diagnosis.fit.joint_refinement import free, polished, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.refit import Refit, distinct
-from hd_diag.diagnosis.search.acceptance import FAMILY_ERROR, by_chance, needed, passing
+from hd_diag.diagnosis.search.acceptance import FAMILY_ERROR, beside_another, by_chance, needed, passing
 from hd_diag.diagnosis.search.causes import Search, causes, plain_gain
 from hd_diag.diagnosis.search.exchange import (
     at_best_choices,
@@ -154,7 +154,8 @@ def _next(
     """The best candidate that passes every test; where none does, the best unmodelled term; else None.
 
     A cause that fails at its grid point is tried between grid points. A term that is not predictive comes
-    after all causes: a constant for every run imitates friction and drift together.
+    after all causes: a constant for every run imitates friction and drift together. Last of all two are tried
+    that explain something only together.
     """
     terms = ranked(fit, chosen, [term for term in _unmodelled(chosen) if term.name not in refused])[:2]
     first = [*best[:3], *sorted(best[3:], key=lambda one: -one.surprise)[:1]]
@@ -168,6 +169,7 @@ def _next(
         or passing(fit, chosen, first, family)
         or passing(fit, chosen, [_between_grid_points(fit, chosen, one) for one in likely], family)
         or passing(fit, chosen, terms, family)
+        or beside_another(fit, chosen, best, family)
     )
 
 
