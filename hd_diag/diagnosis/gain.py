@@ -125,8 +125,7 @@ class Misfit(NamedTuple):
 def held_out(record: Record) -> tuple[Rows, str]:
     """Rows that no fit sees, shape (n,), and in words which: whole recordings or runs, or stretches.
 
-    Never the first nor the last: a slow drift is foretold from what comes before and after; and friction
-    remembers what went before the record, which nobody knows.
+    Never the last: a slow drift is foretold from what comes before and after.
     """
     bags = np.unique(record.bag)
     if bags.size >= _HELD_OUT:
@@ -143,9 +142,8 @@ def held_out(record: Record) -> tuple[Rows, str]:
 
 
 def _every_fourth(number: Integers, count: int) -> Rows:
-    """Rows of the parts that are held out, by the number of each row's part; first and last are none."""
-    middle = (count + _HELD_OUT // 2) % _HELD_OUT or _HELD_OUT // 2
-    return np.asarray(number % _HELD_OUT == middle)
+    """Rows of the parts that are held out, by the number of each row's part; the last part is none."""
+    return np.asarray((number - count) % _HELD_OUT == _HELD_OUT // 2)
 
 
 def renumbered(record: Record) -> Record:
