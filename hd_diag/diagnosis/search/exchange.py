@@ -87,18 +87,17 @@ def one_for_two(
     fit: LinearisedFit, chosen: Chosen, found: Sequence[Cause], rivals: Collection[str]
 ) -> tuple[LinearisedFit, Chosen]:
     """One cause in place of two, where it explains as much: what each might be; any, of a flexible shape."""
+    known, most = {effect.name for effect, _ in chosen}, fit.deviance(chosen) + CLASS_DEVIANCE
     with fit.work.until(_UNITED, "testing one cause in place of two"):
         for two in combinations(found, 2):
             flexible = any(_coefficients(fit, ((one.effect, one.nonlinear),)) >= _FLEXIBLE for one in two)
             names = {*two[0].alike}.intersection(two[1].alike).union(rivals if flexible else ())
             others = tuple(item for item in chosen if all(item[0] is not one.effect for one in two))
             without = fit.corrected(others)
-            known = {effect.name for effect, _ in chosen}
             for one in ranked(without, others, by_name(fit, names - known))[:_TRIED]:
                 trial = (*others, (one.effect, one.nonlinear))
                 there = _settled(without.corrected(trial), trial)
-                as_much = there.deviance(trial) < fit.deviance(chosen) + CLASS_DEVIANCE
-                if as_much and all(sensible(there, trial)):
+                if there.deviance(trial) < most and all(sensible(there, trial)):
                     return finished_in_time(there, trial)
     return fit, chosen
 

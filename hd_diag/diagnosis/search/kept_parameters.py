@@ -99,8 +99,7 @@ class Kept:
         for rival in self.rivals:
             yield settle(replace(fit.moved(rival), held=()), chosen, learn=False)
         if "eccentricity" in self.bounds and DATUM not in self.held and _one_sided(fit):
-            configured = fit_parameters.vector(fit.data.configured, fit.data.configured)
-            for start in _datums(fit, configured):
+            for start in _datums(fit, _configured(fit)):
                 yield settle(fit.moved(start), chosen, 5, learn=False)
 
 
@@ -179,7 +178,7 @@ def _best_minimum(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, li
     away, spread = _away(fit, chosen)
     starts = []
     if _certainty(away, spread, ["eccentricity"]) <= PLAIN:
-        starts += _datums(fit, fit_parameters.vector(fit.data.configured, fit.data.configured))
+        starts += _datums(fit, _configured(fit))
     if _one_sided(fit):
         starts += _datums(fit, fit.parameters)
     fits = [fit, *(settle(fit.moved(start), chosen, rounds=5, learn=False) for start in starts)]
@@ -192,6 +191,11 @@ def _as_good(fit: LinearisedFit, chosen: Chosen) -> float:
     """Deviance up to which another fit does as well; where more than noise is left, in units of that."""
     left = fit.deviance(chosen)
     return left + DISTINCT * max(left / np.count_nonzero(fit.residual_white), 1.0)
+
+
+def _configured(fit: LinearisedFit) -> Floats:
+    """Parameters of the configured drive, shape (7,)."""
+    return fit_parameters.vector(fit.data.configured, fit.data.configured)
 
 
 def _datums(fit: LinearisedFit, parameters: Floats) -> list[Floats]:
@@ -209,7 +213,7 @@ def _one_sided(fit: LinearisedFit) -> bool:
 
 def _away(fit: LinearisedFit, chosen: Chosen) -> tuple[Floats, Floats]:
     """How far the parameters are from the configured ones, lobes swapped if that is nearer; covariance."""
-    configured = fit_parameters.vector(fit.data.configured, fit.data.configured)
+    configured = _configured(fit)
     found, own = _fitted(fit, chosen), slice(COUNT)
     away = min((found - configured, found * MIRRORED - configured), key=_squared_displacement)
     open_ = fit_parameters.scaling(found, fit.data.held, fit.data.configured)
@@ -264,7 +268,7 @@ def _confirmed(fall: float, gain: Floats) -> bool:
 def _start(fit: LinearisedFit, names: list[str]) -> tuple[Floats, list[int]]:
     """Parameters, lobes swapped if that is nearer, with groups as configured; the numbers of these."""
     numbers = [number for name in names for number in GROUPS[name]]
-    configured = fit_parameters.vector(fit.data.configured, fit.data.configured)
+    configured = _configured(fit)
     points = (fit.parameters, fit.parameters * MIRRORED)
     start = min(points, key=lambda x: _squared_displacement(x - configured)).copy()
     start[numbers] = configured[numbers]
@@ -303,7 +307,7 @@ def _bound(fit: LinearisedFit, chosen: Chosen, name: str) -> float:
 
 def _eccentric(fit: LinearisedFit) -> bool:
     """Whether the drive is configured with an eccentricity."""
-    return bool(np.any(fit_parameters.vector(fit.data.configured, fit.data.configured)[:2]))
+    return bool(np.any(_configured(fit)[:2]))
 
 
 def _deviation(spread: Floats, numbers: list[int]) -> float:
