@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+from challenge import records
 from live import config
 
 from hd_diag.config.configuration import JointConfig
@@ -13,6 +14,12 @@ ARCSEC = np.pi / 648000.0
 RATIO = 100.0
 RATE = 200.0  # [Hz]
 NOISE = 2.0 * ARCSEC
+
+
+def generated(made: records.Record) -> Record:
+    """A record of the benchmark's generator, prepared."""
+    columns = (made.time, made.input_angle, made.output_angle, made.torque, made.temperature, made.part)
+    return prepare(*columns, RATIO)
 
 
 def joint(**given: Any) -> JointConfig:

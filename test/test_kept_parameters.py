@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from benches import CONFIGURED, EFFECTS, POINT, bench, swinging
 from challenge import families
-from joint_records import ARCSEC, RATIO
+from joint_records import ARCSEC, generated
 
 from hd_diag.diagnosis.diagnosis import diagnose
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
-from hd_diag.diagnosis.record import Record, prepare
+from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.search.causes import Search, parameters_of
 from hd_diag.diagnosis.search.kept_parameters import DISPLACEMENTS, GROUPS, Kept, keeping, kept_parameters
 
@@ -47,9 +47,7 @@ def test_a_drive_as_configured_stays_so(seed: int) -> None:
 def test_a_minimum_that_noise_made_beside_no_displacement_is_left() -> None:
     """Under torque of one sign the datum has minima of its own, beside a false eccentricity."""
     made = families.made("faultless", 4005)
-    record = prepare(
-        made.time, made.input_angle, made.output_angle, made.torque, made.temperature, made.part, RATIO
-    )
+    record = generated(made)
     beside = AS_CONFIGURED + np.array([-0.6, 0.05, -0.2, 0.0, 0.2, -2.0, 0.2])
     noisy = settle(linearise(record, CONFIGURED, beside), ())
     true = 1e6 * made.base.datum
@@ -95,8 +93,7 @@ def test_beside_no_eccentricity_none_is_claimed(seed: int) -> None:
     one of them leaves so much that it may be a misfit, which an eccentricity would be the end of.
     """
     made = families.made("faultless", seed)
-    columns = (made.time, made.input_angle, made.output_angle, made.torque, made.temperature, made.part)
-    record = prepare(*columns, RATIO)
+    record = generated(made)
     found = diagnose(record, CONFIGURED, np.random.default_rng(0))
     assert {"eccentricity", "runout"} <= found.kept.keys()
     assert 0.1e-6 < found.kept["eccentricity"] < 10e-6
@@ -105,8 +102,7 @@ def test_beside_no_eccentricity_none_is_claimed(seed: int) -> None:
 def test_under_torque_of_one_sign_the_datum_s_other_minimum_is_looked_for() -> None:
     """An eccentricity of 8 um is plain there, and a datum 12 um off does better than where the fit is."""
     made = families.made("robot_single", 1_000_000_815)
-    columns = (made.time, made.input_angle, made.output_angle, made.torque, made.temperature, made.part)
-    record = prepare(*columns, RATIO)
+    record = generated(made)
     assert record.torque.min() > 5.0
     chosen = ((EFFECTS["encoder_interpolation"], (float(made.causes[0].lines),)),)
     beside = AS_CONFIGURED + np.array([3.4, 7.4, 0.2, 0.0, -2.6, 0.6, 1.0])
@@ -134,8 +130,7 @@ def test_displacements_that_show_by_their_product_are_free() -> None:
 def test_intervals_reach_the_minima_that_do_as_well() -> None:
     """Under torque of one sign two datums 12 um apart leave the same of a drive without displacement."""
     made = families.made("faultless", 4005)
-    columns = (made.time, made.input_angle, made.output_angle, made.torque, made.temperature, made.part)
-    fit = linearise(prepare(*columns, RATIO), CONFIGURED, AS_CONFIGURED).with_noise(())
+    fit = linearise(generated(made), CONFIGURED, AS_CONFIGURED).with_noise(())
     far = AS_CONFIGURED + np.array([0.0, 0.0, 0.0, 0.0, -14.0, 0.0, 0.0])
     beside = settle(dataclasses.replace(fit, held=(0, 1, 2, 3)).moved(far), (), rounds=5, learn=False)
     found, spread = Kept({"eccentricity": 1.0, "runout": 8.0}).spread(Search(beside, ()))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from benches import CONFIGURED, EFFECTS, POINT, TRUE, Part, bench, of, swinging
 from challenge import families
-from joint_records import ARCSEC, RATIO, prepared
+from joint_records import ARCSEC, RATIO, generated, prepared
 from joint_records import NOISE as NOISE_OF_RECORD
 from numpy.testing import assert_allclose
 
@@ -21,7 +21,7 @@ from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit, linearis
 from hd_diag.diagnosis.fit.refit import Refit, refit
 from hd_diag.diagnosis.gain import MISFIT, Rms, held_out
 from hd_diag.diagnosis.predictive import Tried, most_predictive
-from hd_diag.diagnosis.record import Record, prepare
+from hd_diag.diagnosis.record import prepare
 from hd_diag.diagnosis.search import causes as search_causes
 from hd_diag.diagnosis.search.acceptance import passing
 from hd_diag.diagnosis.search.causes import Search, causes, doubted, left_out, motor_deviations, parameters_of
@@ -44,13 +44,6 @@ from hd_diag.effects.signals import Signals
 
 NOISE = np.random.default_rng(0).normal(0.0, ARCSEC, 6000)
 (CREEP,) = (term for term in UNMODELLED_TERMS if term.name == "creep")
-
-
-def challenging(family: str, seed: int) -> Record:
-    """A record of the benchmark's generator."""
-    made = families.made(family, seed)
-    columns = (made.time, made.input_angle, made.output_angle, made.torque, made.temperature, made.part)
-    return prepare(*columns, RATIO)
 
 
 def left(speed: np.ndarray, rest: np.ndarray) -> LinearisedFit:
@@ -328,7 +321,7 @@ def test_a_zero_that_puts_torques_on_the_other_flank_is_tried_at_its_size(zero: 
 
 def test_a_zero_is_tried_where_the_torque_is_clear_of_zero_with_it() -> None:
     """A fifth of the torques is on the other flank, and rows about the real zero tell less than nothing."""
-    record = challenging("robot_pair", 1_000_000_833)
+    record = generated(families.made("robot_pair", 1_000_000_833))
     test, _ = held_out(record)
     begun = refit(record.select(~test), CONFIGURED, np.random.default_rng(0))
     fit = settle(linearise(record, CONFIGURED, begun.parameters, rows=~test), ())
@@ -393,7 +386,7 @@ def test_gain_and_zero_of_a_torque_that_never_changes_are_one_class() -> None:
     """By either the mesh bears less than 2 N m, though steps lead from one to the other nowhere near."""
     chosen: Chosen = ((EFFECTS["torque_gain"], ()),)
     varying = bench(of(chosen[0][0], relative_error=0.3)).data.source
-    for record, expected in ((challenging("unloaded", 1_000_000_733), True), (varying, False)):
+    for record, expected in ((generated(families.made("unloaded", 1_000_000_733)), True), (varying, False)):
         begun = refit(record, CONFIGURED, np.random.default_rng(0))
         fit = settle(linearise(record, CONFIGURED, begun.parameters), chosen, 8)
         (cause,) = causes(fit, chosen, {"torque_offset"}, np.random.default_rng(0))

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 from benches import swinging
-from challenge.families import made
-from joint_records import ARCSEC, RATIO, columns, joint, prepared
+from challenge import families
+from joint_records import ARCSEC, RATIO, columns, generated, joint, prepared
 
 from hd_diag.diagnosis.diagnosis import diagnose
 from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.gain import held_out
-from hd_diag.diagnosis.record import Record, prepare
+from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.screening import screened, without_misleading_torque
 from hd_diag.drive import transmission_error
 from hd_diag.simulation import Motion, SimulatedJoint, simulate
@@ -116,22 +116,15 @@ def test_a_torque_in_amperes(constant: float) -> None:
     assert 4.0 < found.value < constant
 
 
-def challenging(family: str, seed: int) -> Record:
-    """A record of the benchmark's generator."""
-    one = made(family, seed)
-    given = (one.time, one.input_angle, one.output_angle, one.torque, one.temperature)
-    return prepare(*given, one.part.astype(np.int64), RATIO)
-
-
 def test_a_torque_that_hardly_changes_is_in_no_other_unit() -> None:
     """In 2.6 s it goes from 9 to 11 N m as the angle does: by regression 4.3 ± 0.7 times the torsion."""
-    assert not screened(challenging("faultless", 1_000_000_557), CONFIGURED).findings
+    assert not screened(generated(families.made("faultless", 1_000_000_557)), CONFIGURED).findings
 
 
 @pytest.mark.parametrize(("family", "seed"), [("robot_pair", 125), ("robot_single", 1_000_000_836)])
 def test_gravity_that_goes_with_the_place_has_no_other_sign(family: str, seed: int) -> None:
     """Beside waves of the output's turn the torsion comes out as -1.2 and -2.6 times the configured one."""
-    assert not screened(challenging(family, seed), CONFIGURED).findings
+    assert not screened(generated(families.made(family, seed)), CONFIGURED).findings
 
 
 @pytest.mark.parametrize("late", [0.02, -0.05, 0.3, -3.0])
@@ -217,7 +210,7 @@ def test_a_torque_of_another_joint_is_left_out() -> None:
 
 def test_friction_that_misleads_one_fit_is_no_wrong_torque() -> None:
     """Of 3.5 N m, which no parameter knows: held-out runs are foretold worse with torque, all others not."""
-    record = screened(challenging("robot_pair", 1_000_000_834), CONFIGURED).record
+    record = screened(generated(families.made("robot_pair", 1_000_000_834)), CONFIGURED).record
     test, _ = held_out(record)
     for seed in range(3):
         same, finding = without_misleading_torque(record, CONFIGURED, test, np.random.default_rng(seed))
@@ -238,7 +231,7 @@ def test_an_input_encoder_far_off_its_centre_is_no_wrong_torque() -> None:
 
 def test_a_wrong_zero_of_the_torque_is_no_wrong_torque() -> None:
     """It puts most torques of a joint that carries little on the other flank, 15 um of datum away."""
-    record = challenging("robot_pair", 4812)
+    record = generated(families.made("robot_pair", 4812))
     test, _ = held_out(record)
     _, finding = without_misleading_torque(record, CONFIGURED, test, np.random.default_rng(0))
     assert finding is None
