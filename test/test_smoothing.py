@@ -74,5 +74,10 @@ def test_a_quick_stretch_has_a_narrower_window_of_its_own():
     found, before = (smooth(values, WHOLE, STEP, one) - true for one in (widths, widths.max()))
     assert np.std(found[quick]) < 0.5 * np.std(before[quick])
     assert np.mean(widths < widths.max()) < 0.03
+    narrow = true + 9.0 * np.sin(2 * np.pi * np.clip((TIME - 30.0) / 0.05, 0.0, 1.0))
+    values, short = narrow + values - true, np.abs(TIME - 30.025) < 0.03
+    hurried = smooth(values, WHOLE, STEP, best_widths(values, WHOLE, STEP)) - narrow
+    assert np.std(hurried[short]) < 0.2 * np.std(smooth(values, WHOLE, STEP, widths) - narrow, where=short)
+    values = true + values - narrow
     pair = smooth(np.stack((values, -values), axis=1), WHOLE, STEP, widths)
     np.testing.assert_allclose(pair, np.stack((found + true, -found - true), axis=1), atol=1e-9)

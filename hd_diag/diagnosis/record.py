@@ -11,8 +11,9 @@ from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.blocks import unwrapped
 from hd_diag.diagnosis.noise import bounds, numbered, spans
 from hd_diag.diagnosis.outliers import Rows, outliers, torque_outliers
-from hd_diag.diagnosis.smoothing import best_widths, deviation, rate, settled, smooth
+from hd_diag.diagnosis.smoothing import deviation, rate, smooth
 from hd_diag.diagnosis.stamps import UNTOLD, Stamps, by_clock, usual_step
+from hd_diag.diagnosis.torque_smoothing import SmoothedTorque, smoothed_torque
 
 # Columns of one length by name; None for those that were not recorded.
 Columns = dict[str, Any]
@@ -69,6 +70,8 @@ class Record:
         What the record covers; of the whole, where rows were left out.
     torque_window : ndarray
         Of the smoothing of the torque [s]; 0: none.
+    torque_with_waves : bool
+        Whether waves of the input's turn are left in it, see :func:`smoothed_torque`.
     stamps : Stamps
         What became of samples before.
     taken : ndarray, or None
@@ -91,6 +94,7 @@ class Record:
     stretch: Integers
     extent: Extent
     torque_window: Floats
+    torque_with_waves: bool = False
     by_current: bool = False
     by_velocity: bool = False
     stamps: Stamps = UNTOLD
@@ -211,11 +215,13 @@ def prepare(
     speed = rate(columns["input_angle"], segment, step, _SPEED_WINDOW)
     run, bag = _runs(time, speed, segment), columns["bag"]
     raw = np.full(time.shape, assumed_torque) if load is None else load
-    width = np.zeros(raw.size) if load is None else best_widths(load, segment, step)
+    smoothed = SmoothedTorque(raw, np.zeros(raw.size), False)
+    if load is not None:
+        smoothed = smoothed_torque(load, columns["input_angle"], ratio, segment, step)
     return Record(
         **columns,
         time=time,
-        torque=raw if load is None else settled(raw, smooth(raw, segment, step, width), step, width.max()),
+        torque=smoothed.torque,
         speed=speed,
         temperature=None if heat is None else smooth(heat, segment, step, _HEAT_WINDOW),
         run=run,
@@ -225,7 +231,8 @@ def prepare(
         reported_torque=raw,
         stretch=segments(time, bag if by_velocity else np.zeros_like(bag), _LONG_GAP_STEPS),
         extent=extent(time, columns["input_angle"], run),
-        torque_window=width,
+        torque_window=smoothed.window,
+        torque_with_waves=smoothed.with_waves,
         by_current=by_current and load is not None,
         by_velocity=by_velocity,
         stamps=stamps,

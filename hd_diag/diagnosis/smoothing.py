@@ -15,7 +15,8 @@ from hd_diag.diagnosis.noise import bounds
 
 _ORDER = 2
 _WINDOWS = 0.01 * 1.35 ** np.arange(20)  # to choose from [s]
-_NARROWER, _BENT = (3.0, 9.0), 5.0  # by which a window is cut; times the noise's variance that shows a bend
+_NARROWER = (3.0, 9.0, 27.0, 81.0)  # by which a window is cut
+_BENT = 5.0  # times the variance of noise that shows a bend
 _STILL = 4.0  # times the variance of smoothed noise, up to which smoothed values count as constant
 _ZERO = 16.0  # times the variance of a mean, up to which it counts as zero
 _JUDGED = 100_000  # samples by which a window is chosen
@@ -52,11 +53,22 @@ def best_width(values: Floats, segment: Integers, step: float) -> float:
     -----
     Generalised cross-validation: Golub, Heath, Wahba, Technometrics 21 (1979).
     """
+    part = values[judged(segment)]
+    scores = [float(np.mean(_prediction_errors(part, step, width))) for width in _WINDOWS]
+    return float(_WINDOWS[int(np.argmin(scores))])
+
+
+def usual_prediction_error(values: Floats, segment: Integers, step: float) -> float:
+    """Median square by which values differ from what neighbours in the best window predict."""
+    part = values[judged(segment)]
+    return float(np.median(_prediction_errors(part, step, best_width(values, segment, step))))
+
+
+def judged(segment: Integers) -> slice:
+    """Rows by which a window is chosen: the middle of the longest segment."""
     begin, end = max(bounds(segment), key=lambda edges: edges[1] - edges[0])
     middle = (begin + end) // 2
-    part = values[max(begin, middle - _JUDGED // 2) : min(end, middle + _JUDGED // 2)]
-    scores = [_prediction_error(part, step, width) for width in _WINDOWS]
-    return float(_WINDOWS[int(np.argmin(scores))])
+    return slice(max(begin, middle - _JUDGED // 2), min(end, middle + _JUDGED // 2))
 
 
 def best_widths(values: Floats, segment: Integers, step: float) -> Floats:
@@ -148,13 +160,13 @@ def _quadratic(window: int) -> tuple[Floats, Floats]:
     return savgol_coeffs(window, _ORDER), basis
 
 
-def _prediction_error(values: Floats, step: float, width: float) -> float:
-    """Mean square by which values differ from what their neighbours predict."""
+def _prediction_errors(values: Floats, step: float, width: float) -> Floats:
+    """Squares by which values differ from what their neighbours predict."""
     window = _window(values.size, step, width)
     if window <= _ORDER + 1:
-        return float("inf")
+        return np.full(values.size, np.inf)
     own = float(np.sum(savgol_coeffs(window, _ORDER) ** 2))  # weight of a value in its own estimate
-    return float(np.mean((values - _twice(values, step, width)) ** 2)) / (1.0 - own) ** 2
+    return np.asarray((values - _twice(values, step, width)) ** 2 / (1.0 - own) ** 2)
 
 
 def _window(size: int, step: float, width: float) -> int:

@@ -75,7 +75,8 @@ class RecordModel:
 
         def torque() -> Floats:
             record, width = self.record, self.record.torque_window
-            if not (effect.reported and width.any()):
+            kept = record.torque_with_waves and effect.frame == "input"
+            if kept or not (effect.reported and width.any()):
                 seen = self.motion if record.taken is None else self.motion.bearing(record.by_sensor)
                 return np.nan_to_num(effect.torque(seen, nonlinear))
             columns = np.nan_to_num(effect.torque(self.motion.bearing(record.reported_torque), nonlinear))

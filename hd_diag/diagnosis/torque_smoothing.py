@@ -1,0 +1,110 @@
+"""The torque as a regressor: less its noise, with the waves that a sensor feels as the lobes pass."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from hd_diag.arrays import Floats, Integers
+from hd_diag.diagnosis.smoothing import best_widths, judged, settled, smooth, usual_prediction_error
+from hd_diag.effects.torque_sensor_ripple import ORDERS
+
+_FIRST = 0.2  # window beside which waves are looked for first [s]
+_ALIKE = 0.01  # of the greatest singular value: frames that hardly part over a short way count as one
+_CHANCE = 1e-6  # of as much by noise, for waves to be looked at
+_BETTER = 0.99  # of the usual prediction error, that may be left of it: jumps of the torque are no waves
+_ROUNDS = 6  # in which the window and the waves follow each other
+_PASSES = 2  # the waves go with a torque that has waves itself, then with one that has none
+
+
+class SmoothedTorque(NamedTuple):
+    """Torque [N m] and window [s], (n,) each; whether waves of the input's turn are left as they are."""
+
+    torque: Floats
+    window: Floats
+    with_waves: bool
+
+
+def smoothed_torque(
+    reported: Floats, angle: Floats, ratio: float, segment: Integers, step: float
+) -> SmoothedTorque:
+    """Torque less its noise.
+
+    A ripple of the lobes would let no window be broad, and a broad one would take some of it away. Its waves
+    are left as they are: of any size and in proportion to the torque, by the input's turn as the housing or
+    either member sees it.
+
+    Parameters
+    ----------
+    reported : ndarray, shape (n,)
+        [N m]
+    angle : ndarray, shape (n,)
+        Of the input [rad].
+    ratio : float
+        Input over output angle [-].
+    segment : ndarray of int64, shape (n,)
+        Number of the stretch without a gap that a sample belongs to, ascending.
+    step : float
+        Between samples [s].
+    """
+    some = judged(segment)
+    sizes = _sizes(reported[some], angle[some], ratio, segment[some], step)
+    if sizes is not None:
+        even = smooth(reported, segment, step, _FIRST)
+        most = float(np.std(reported - even))
+        for _ in range(_PASSES):
+            ripple = _ripple(sizes, angle, even, ratio)
+            window = best_widths(reported - ripple, segment, step)
+            even = smooth(reported - ripple, segment, step, window)
+        if np.std(reported - ripple - even) <= most:  # else they are none elsewhere in the record
+            return SmoothedTorque(even + ripple, window, True)
+    window = best_widths(reported, segment, step)
+    smoothed = smooth(reported, segment, step, window)
+    return SmoothedTorque(settled(reported, smoothed, step, float(window.max())), window, False)
+
+
+def _sizes(reported: Floats, angle: Floats, ratio: float, segment: Integers, step: float) -> Floats | None:
+    """Sizes of the waves, beside which the window is the best; None where they may be noise or jumps."""
+    window, ripple, known = np.full(reported.size, _FIRST), np.zeros(reported.size), None
+    for _ in range(_ROUNDS):
+        even = smooth(reported - ripple, segment, step, window)
+        quick = np.stack([w - smooth(w, segment, step, window) for w in _waves(angle, even, ratio)], axis=1)
+        rest = reported - smooth(reported, segment, step, window)
+        norm = np.maximum(np.linalg.norm(quick, axis=0), 1e-300)
+        sizes, _, rank, _ = np.linalg.lstsq(quick / norm, rest, rcond=_ALIKE)
+        sizes = np.asarray(sizes / norm, np.float64)
+        left, freedom = float(np.sum((rest - quick @ sizes) ** 2)), rest.size - rank
+        if not 0 < rank < freedom:
+            break
+        fisher = (float(rest @ rest) - left) / rank / max(left / freedom, 1e-300)
+        if stats.f.sf(fisher, rank, freedom) > _CHANCE:
+            break
+        known, ripple = sizes, _ripple(sizes, angle, even, ratio)
+        last, window = window, best_widths(reported - ripple, segment, step)
+        if np.array_equal(window, last):
+            break
+    if known is None:
+        return None
+    before, after = (usual_prediction_error(one, segment, step) for one in (reported, reported - ripple))
+    return known if after < _BETTER * before * (1.0 - known.size / reported.size) ** 2 else None
+
+
+def _ripple(sizes: Floats, angle: Floats, torque: Floats, ratio: float) -> Floats:
+    """Sum of the waves at their sizes [N m], shape (n,)."""
+    total = np.zeros(torque.size)
+    for size, wave in zip(sizes, _waves(angle, torque, ratio), strict=True):
+        total += size * wave
+    return total
+
+
+def _waves(angle: Floats, torque: Floats, ratio: float) -> Iterator[Floats]:
+    """Waves of the input's turn as the housing and both members see it, and the same times the torque."""
+    for order, side in product(ORDERS, (-1.0, 0.0, 1.0)):
+        phase = order * (1.0 + side / abs(ratio)) * angle
+        for wave in (np.cos(phase), np.sin(phase)):
+            yield wave
+            yield wave * torque
