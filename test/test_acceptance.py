@@ -139,7 +139,7 @@ def test_two_causes_of_which_one_does_not_foretell_blocks_alone_pass_beside_each
     plain: LinearisedFit,
 ) -> None:
     rubs, off = EFFECTS["viscous_windup"], EFFECTS["torque_offset"]
-    fit = bench(of(rubs, friction=0.36, exponent=1.0), of(off, offset=0.56))
+    fit = bench(of(rubs, friction=0.36, exponent=1.0), of(off, offset=0.7))
     both = ranked(fit, (), [rubs, off])
     assert all(one.p_value < 1e-60 for one in both)
     alone = [passing(fit, (), [one], 50) for one in both]

@@ -154,3 +154,13 @@ def test_a_wave_that_wanders_gives_way_to_two_lines_that_beat() -> None:
     found, lines = swapped(fit, chosen, {ball.name})
     assert sorted(nonlinear for _, nonlinear in lines) == [(47.0,), (49.0,)]
     assert deviance_of(found, lines) < deviance_of(fit, chosen) + 10.0
+
+
+def test_the_way_of_a_friction_is_tried_at_several_lengths() -> None:
+    """Its bend shows where the joint turns round alone; a fit that begins with a sudden one stays there."""
+    friction = EFFECTS["coulomb_windup"]
+    fit = bench(of(friction, friction=2.0, way=0.15, creep_speed=0.0, stribeck=0.0, stribeck_speed=10.0))
+    sudden = ((friction, (1e-3, 0.0, 0.0, 10.0)),)
+    settled = settle(fit, sudden)
+    ((_, (way, *_)),) = at_best_choices(settled, sudden)
+    assert way == 0.15

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.fit_parameters import DATUM
-from hd_diag.diagnosis.fit.joint_refinement import covariance, free, polished, settle, slopes
+from hd_diag.diagnosis.fit.joint_refinement import _within, covariance, free, polished, settle, slopes
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.effects.effect import Effect
 
@@ -175,3 +175,25 @@ def test_a_value_beside_that_of_a_grid_point_moves_as_far_as_any(near: float) ->
     found = fit.data.grid_step(loop, (9.0, near * sharpness[1], 2.0, 1.5))
     assert found[1] in (steps[0], steps[1])
     assert fit.data.grid_step(EFFECTS["resonance"], (1.0, 50.0, 0.07))[2] == 0.03
+
+
+def test_a_step_that_leaves_a_range_ends_on_it_and_the_others_follow() -> None:
+    """No point within the ranges is better."""
+    friction, rng = EFFECTS["coulomb_windup"], np.random.default_rng(2)
+    chosen = ((friction, (0.1, 0.002, 0.5, 19.0)), (EFFECTS["viscous_windup"], (1.0,)))
+    root = rng.standard_normal((5, 5))
+    spread = root @ root.T / 25.0
+    step = np.array([0.05, -0.3, 0.2, 4.0, 0.1])
+    low, high = np.array([[q.low, q.high] for effect, _ in chosen for q in effect.nonlinear]).T
+    at = np.concatenate([values for _, values in chosen])
+
+    def worse(there: np.ndarray) -> float:
+        return float((there - step) @ np.linalg.solve(spread, there - step))
+
+    found = _within(chosen, step, spread)
+    assert np.all((low - at <= found) & (found <= high - at))
+    for size in (1e-4, 1e-2, 1.0):
+        others = np.clip(found + size * rng.standard_normal((200, 5)), low - at, high - at)
+        assert min(map(worse, others)) >= worse(found) - 1e-6
+    assert worse(np.clip(step, low - at, high - at)) > 1.5 * worse(found)
+    np.testing.assert_array_equal(_within(chosen, 1e-4 * step, spread), 1e-4 * step)

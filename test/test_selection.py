@@ -159,7 +159,7 @@ def test_a_cause_is_settled_before_a_term_is_put_in_its_place() -> None:
     fit = linearise(shifted, CONFIGURED, there).with_noise(())
     best, terms = candidates(fit, ()), ranked(fit, (), UNMODELLED_TERMS)
     assert (best[0].effect.name, terms[0].effect.name) == ("torque_offset", "even_torque")
-    assert terms[0].surprise > 1.5 * best[0].surprise
+    assert terms[0].surprise > 1.3 * best[0].surprise
     found = _next(fit, (), family_size(fit), best, ())
     assert found is not None
     assert found.effect.name == "torque_offset"

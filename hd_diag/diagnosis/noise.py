@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -35,8 +36,8 @@ class Whitening:
     def __call__(self, columns: Floats, run: Integers) -> Floats:
         """Whitened columns, (n,) or (n, k), in units of the innovation.
 
-        The filter restarts where the run (n,) changes: the first ORDER samples of a run become zero, because
-        their past is unknown.
+        The filter restarts where the run (n,) changes: the first ORDER samples of a run are foretold from
+        those before them, as many as there are.
         """
         if not columns.size:
             return np.zeros_like(columns)
@@ -44,7 +45,26 @@ class Whitening:
 
         taps = np.concatenate(([1.0], -self.coefficients)) / self.scale
         wide = np.ascontiguousarray(columns.reshape(run.size, -1))
-        return np.asarray(kernel.filtered(wide, taps, _edges(run)).reshape(columns.shape))
+        edges = _edges(run)
+        white = kernel.filtered(wide, taps, edges)
+        begun = edges[:-1, None] + np.arange(ORDER)
+        inside = begun < edges[1:, None]
+        white[begun[inside]] = (self._beginning @ wide[np.where(inside, begun, 0)])[inside]
+        return np.asarray(white.reshape(columns.shape))
+
+    @cached_property
+    def _beginning(self) -> Floats:
+        """What whitens the first samples of a run, (ORDER, ORDER): the inverse root of their covariance.
+
+        Predictors of every lower order follow from those of the next (Levinson's recursion, backwards).
+        """
+        found, taps, variance = np.zeros((ORDER, ORDER)), self.coefficients, self.scale**2
+        for order in range(ORDER - 1, -1, -1):
+            last = taps[order]
+            rest = max(1.0 - last**2, _LEAST)
+            taps, variance = (taps[:order] + last * taps[:order][::-1]) / rest, variance / rest
+            found[order, : order + 1] = np.append(-taps[::-1], 1.0) / np.sqrt(variance)
+        return found
 
 
 def bounds(run: Integers) -> list[tuple[int, int]]:

@@ -13,6 +13,8 @@ from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.recursions import lag
 from hd_diag.effects.signals import Signals
 
+_WAYS = (0.02, 0.03, 0.045, 0.068, 0.1, 0.15, 0.23, 0.34)  # [rad]: a reversal in short rows fits one of many
+
 # Time [s] and input angle [rad] of the last sample, None before the first; z.
 State = tuple[tuple[float, float] | None, float]
 
@@ -59,7 +61,9 @@ EFFECT = CoulombWindup(
     grid=((0.003, 0.1, 0.0, 10.0), (0.003, 1.0, 0.5, 3.0), (0.3, 0.0, 0.0, 3.0), (0.05, 0.0, 0.5, 10.0)),
     quantities=(
         Quantity("friction", "N m", 0.0, 1e3, 1.0, "a, while the joint moves", strict=True),
-        Quantity("way", "rad", 1e-4, 30.0, 0.1, "x_0, of the input, over which it builds up", linear=False),
+        Quantity(
+            "way", "rad", 1e-4, 30.0, 0.1, "x_0, of the input, over which it builds up", False, choices=_WAYS
+        ),
         Quantity("creep_speed", "rad/s", 0.0, 3.0, 0.1, "omega_0, of the input; 0: kept at rest", False),
         Quantity("stribeck", "-", 0.0, 2.0, 0.5, "b, share of it that is more at low speed", linear=False),
         Quantity("stribeck_speed", "rad/s", 0.5, 20.0, 5.0, "omega_s, of the input", linear=False),

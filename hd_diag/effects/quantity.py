@@ -35,7 +35,8 @@ class Quantity:
     discrete : bool
         Whether only the values that the effect's start points have make sense: not to be refined.
     choices : tuple of float
-        All values of a discrete quantity that a search should compare when everything else is fitted.
+        Values that a search should compare when everything else is fitted: all of a discrete quantity, some
+        of one that may fit at several.
     power : int
         Power of it that the coefficient is: 2 where the error grows with its square.
     strict : bool

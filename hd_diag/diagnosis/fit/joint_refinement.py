@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 from scipy import stats
+from scipy.optimize import lsq_linear
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit import fit_parameters
@@ -20,6 +21,7 @@ _SHARES = (1.0, 0.3, 0.1)  # of a step, tried in turn until one makes the fit no
 _WORSE = 1.05  # times the deviance before, that a step may leave on its way
 _LONGEST, _CLEARLY = 8.0, 1.3  # times a step, that it may fall short; from where a longer one is tried
 _LINEAR = 1.0  # standard deviations; the model is linear over such steps
+_SINGULAR = 1e-12  # of the greatest variance, that every direction has at least
 _SIDE = 0.975  # of a distribution, below the upper end of a 95 % interval
 _SETTLED = 0.05  # deviance; what a further round could gain
 
@@ -192,7 +194,9 @@ def _stepped(fit: LinearisedFit, chosen: Chosen, before: float) -> tuple[Lineari
     columns = slopes(fit, chosen)
     if not columns.shape[1]:
         return fit, chosen
-    step = fit.fit(chosen, columns)[0][-columns.shape[1] :]
+    beta, spread, _ = fit.fit(chosen, columns)
+    own = slice(-columns.shape[1], None)
+    step = _within(chosen, beta[own], spread[own, own])
     for _ in range(_SHORTER):
         trial = _moved_all(fit, chosen, step)
         tried = fit.corrected(trial)
@@ -200,6 +204,21 @@ def _stepped(fit: LinearisedFit, chosen: Chosen, before: float) -> tuple[Lineari
             return tried, trial
         step = 0.5 * step
     return fit, chosen
+
+
+def _within(chosen: Chosen, step: Floats, spread: Floats) -> Floats:
+    """The best step of the free values (k,) of covariance (k, k) by which none leaves its range."""
+    room = [
+        (q.low - at, q.high - at)
+        for effect, values in chosen
+        for q, at in ((effect.nonlinear[index], values[index]) for index in free(effect))
+    ]
+    low, high = np.array(room).T
+    if np.all((low <= step) & (step <= high)):
+        return step
+    values, vectors = np.linalg.eigh(spread)
+    root = (vectors / np.sqrt(np.maximum(values, _SINGULAR * values.max()))).T
+    return np.asarray(np.clip(lsq_linear(root, root @ step, (low, high)).x, low, high))
 
 
 def _moved_all(fit: LinearisedFit, chosen: Chosen, step: Floats) -> Chosen:
