@@ -97,15 +97,16 @@ def test_where_no_motion_repeats_noise_may_be_all_that_is_left_and_nothing_is_na
 
 
 def test_a_cause_that_explains_more_than_is_left_is_named_unless_that_is_a_misfit() -> None:
-    """Its chance is of so many times the noise: 0.002 is 0.02 at 1.25 times."""
-    large = dataclasses.replace(cause("hysteresis"), gain=0.7, p_value=0.0)
+    """Of 1.25 times the noise 0.75 may be more; its chance is of so many times it: 0.002 is 0.02 at 1.25."""
+    large = dataclasses.replace(cause("hysteresis"), own=0.8 * ARCSEC, p_value=0.0)
     assert NEAR.misfit.suspected
     assert diagnosis(large, rms=NEAR).causes == (large,)
-    assert diagnosis(dataclasses.replace(large, gain=0.2), rms=NEAR).causes == ()
+    assert diagnosis(dataclasses.replace(large, own=0.7 * ARCSEC), rms=NEAR).causes == ()
     for p_value, rms, named in ((1e-9, NEAR, True), (2e-3, NEAR, False), (1e-9, UNREPEATED, False)):
         (told,) = diagnosis(dataclasses.replace(large, p_value=p_value), rms=rms).causes or (None,)
         assert (told is not None) is named
-    assert diagnosis(large, rms=UNREPEATED).causes == (large,)
+    plain = dataclasses.replace(large, own=19.1 * ARCSEC)  # beside as much as 19 that are no noise
+    assert diagnosis(plain, rms=UNREPEATED).causes == (plain,)
     assert diagnosis(large, rms=MISFIT).hints == (large,)
 
 

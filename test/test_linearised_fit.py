@@ -273,3 +273,28 @@ def test_a_delay_carries_all_of_a_wave_as_it_runs_what_it_wanders_by_included() 
         within = fit.data.record.time > 0.05  # not late yet
         column = ARCSEC * one.columns(ball, order)[:, place]
         assert_allclose(changed[within], column[within], atol=1e-6 * np.abs(column).max())
+
+
+def test_a_column_of_hardly_any_row_does_not_grow_without_end() -> None:
+    """A knee that no torque of the record reaches is a spike at its highest, as small as rounding."""
+    hardening = EFFECTS["torsional_hardening"]
+    fit = bench()
+    most = float(np.max(np.abs(fit.signals.torque)))
+    for beyond in (0.01, 0.02, 0.04):
+        chosen = ((hardening, (5.0, most + beyond, 1e-3)),)
+        (found,) = sizes(fit, chosen)
+        assert np.max(np.abs(found)) < 1e3 * hardening.usual[0]
+        assert 0.0 < fit.deviance(chosen) <= fit.deviance(()) + 1.0
+
+
+def test_a_ripple_that_the_smoothing_left_is_not_smoothed() -> None:
+    """Where it was cut as noise is, what is fitted of it is cut alike."""
+    ripple, fit = EFFECTS["torque_sensor_ripple"], bench()
+    record = dataclasses.replace(fit.data.source, torque_window=np.full(fit.data.source.size, 0.3))
+    kept, cut = (
+        linearise(dataclasses.replace(record, torque_with_waves=waves), CONFIGURED, POINT).data.model
+        for waves in (True, False)
+    )
+    of_kept, of_cut = (model.torque(ripple, (0.0, 0.0)) for model in (kept, cut))
+    assert_allclose(of_kept, ripple.torque(kept.motion, (0.0, 0.0)))
+    assert np.std(of_cut[:, 2]) < 0.9 * np.std(of_kept[:, 2])

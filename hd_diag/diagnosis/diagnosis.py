@@ -107,9 +107,9 @@ class Diagnosis:
         """
         sure, left = self.refitted is None or self.refitted.trustworthy, self.misfit
         ahead = left is None or not left.suspected
-        if left and self.found and left.suspected and not left.certain:
+        if self.rms and left and self.found and left.suspected and not left.certain:
             p_value = chance_in_misfit(cause.p_value, self.found.family, left.value)
-            ahead = cause.gain > left.beyond_noise * (1.0 - cause.gain) and p_value <= FAMILY_ERROR
+            ahead = cause.own > self.rms.beyond_noise and p_value <= FAMILY_ERROR
         named = sure and ahead and self.predicting and len(cause.alike) <= _MOST_ALIKE
         by_torque = self.record.by_current and any(
             effect.kind in _BY_TORQUE or effect.stage == Stage.TORQUE

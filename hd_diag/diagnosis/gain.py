@@ -77,9 +77,19 @@ class Rms:
 
         Its signals are late where it runs, which speaks against no cause; as fitted it has no order table.
         """
-        left = self._followed(min(self.extended, self.offline))
-        value, low, high = (left / max(one, 1e-300) for one in (self.noise, self.noise_high, self.noise_low))
+        value, low, high = (
+            self._left / max(one, 1e-300) for one in (self.noise, self.noise_high, self.noise_low)
+        )
         return Misfit(value, low, high, self.repeated)
+
+    @property
+    def beyond_noise(self) -> float:
+        """What of that may be more than noise [rad rms]."""
+        return math.sqrt(max(self._left**2 - self.noise**2, 0.0))
+
+    @property
+    def _left(self) -> float:
+        return self._followed(min(self.extended, self.offline))
 
     def _followed(self, rms: float) -> float:
         return math.sqrt(max(rms**2 - self.wandering**2, 0.0))
@@ -115,11 +125,6 @@ class Misfit(NamedTuple):
     def certain(self) -> bool:
         """Whether what is left is certainly more than noise."""
         return (self.value if self.measured else self.low) > MISFIT
-
-    @property
-    def beyond_noise(self) -> float:
-        """Share of the mean square that is left, that is not noise."""
-        return 1.0 - 1.0 / self.value**2
 
 
 def held_out(record: Record) -> tuple[Rows, str]:

@@ -14,6 +14,7 @@ from hd_diag.effects.signals import Signals
 
 _SPEED = 20.0  # [rad/s] of the input: 50 us read a hundredth of an arcmin there at ratio 100
 _POINTS = 4  # of the polynomial between samples: the ripple turns by half a radian from one to the next
+_ABOUT = 2  # samples on either side, where what comes after is known
 
 # Times [s] and output angles [rad] of the latest samples.
 State = tuple[Floats, Floats]
@@ -28,6 +29,20 @@ class StreamDelay(Effect):
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """What the output moves in a second; see :meth:`Effect.columns`."""
         return -(signals.speed / signals.ratio + signals.predicted_rate)[:, None]
+
+    def response(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
+        """Along a record; see :meth:`Effect.response`.
+
+        From samples on both sides: counts of the input's encoder, averaged from one side, would speak for a
+        delay that is none.
+        """
+        delay, found = float(coefficients[0]), np.asarray(self.columns(signals, nonlinear) @ coefficients)
+        if delay > 0.0:
+            angle = signals.output_angle + signals.predicted
+            points, weights = _late(signals, delay)
+            begun = np.concatenate([signals.time[run] - signals.time[run][:1] for run in signals.runs()])
+            found = np.where(begun >= delay, np.sum(weights * angle[points], axis=1) - angle, found)
+        return found
 
     def start(self, nonlinear: Values) -> State:
         """No sample yet."""
@@ -64,29 +79,34 @@ def _late(signals: Signals, delay: float) -> tuple[Integers, Floats]:
 
     What was before a run is as at its begin; too short a run is not late.
     """
-    points = np.repeat(np.arange(signals.size)[:, None], _POINTS, axis=1)
-    weights = np.full(points.shape, 1.0 / _POINTS)
+    about = np.arange(-_ABOUT, _ABOUT + 1)
+    points = np.repeat(np.arange(signals.size)[:, None], about.size, axis=1)
+    weights = np.full(points.shape, 1.0 / about.size)
     for run in signals.runs():
         time = signals.time[run]
-        if time.size >= _POINTS:
-            own, weights[run] = _between(time, np.clip(time - delay, time[0], time[-1]))
-            points[run] = run.start + own
+        if time.size >= about.size:
+            at = np.clip(time - delay, time[0], time[-1])
+            nearest = np.searchsorted(0.5 * (time[1:] + time[:-1]), at)
+            own = np.clip(nearest, _ABOUT, time.size - 1 - _ABOUT)[:, None] + about
+            points[run], weights[run] = run.start + own, _weights(time, at, own)
     return points, weights
 
 
 def _between(time: Floats, at: Floats) -> tuple[Integers, Floats]:
-    """Numbers of samples about moments, one not before and those before it, and weights; (n, k) each.
-
-    Of the polynomial through them (Lagrange).
-    """
+    """Numbers of samples about moments, one not before and those before it, and weights; (n, k) each."""
     after = np.clip(np.searchsorted(time, at), _POINTS - 1, time.size - 1)
     points = after[:, None] + np.arange(1 - _POINTS, 1)
+    return points, _weights(time, at, points)
+
+
+def _weights(time: Floats, at: Floats, points: Integers) -> Floats:
+    """Of the polynomial through some samples (n, k) at moments (n,) (Lagrange)."""
     place, weights = time[points] - at[:, None], np.ones(points.shape)
-    for one in range(_POINTS):
-        for other in range(_POINTS):
+    for one in range(points.shape[1]):
+        for other in range(points.shape[1]):
             if other != one:
                 weights[:, one] *= place[:, other] / (place[:, other] - place[:, one])
-    return points, weights
+    return weights
 
 
 EFFECT = StreamDelay(

@@ -29,6 +29,7 @@ from hd_diag.effects.scaling import of_drive
 from hd_diag.effects.signals import Signals
 
 _TEETH = 3.0  # times the usual size, to which errors of the teeth are drawn
+_UNHEARD_OF = 1e3  # the same of all others: columns of hardly any row must not grow without end
 _HELD = 1e12  # precision of what is held, in units of `fit_parameters.units`
 _WHITE = Whitening(np.zeros(ORDER), 1.0)
 
@@ -313,7 +314,7 @@ class LinearisedFit:
     def prior(self, chosen: Chosen) -> tuple[Floats, Floats]:
         """Precision of the coefficients of [model, offset, effects], and where they are drawn to; (k,) each.
 
-        The model's are drawn to the prior of a drive, errors of teeth to small ones.
+        The model's are drawn to the prior of a drive, errors of teeth to small ones, all others hardly.
         """
         places = self.places(chosen)
         center, width = fit_parameters.prior(self.data.configured)
@@ -322,8 +323,8 @@ class LinearisedFit:
         pull[: fit_parameters.COUNT] = center - self.parameters
         precision[self._all_held], pull[self._all_held] = _HELD, 0.0
         for (effect, _), place in zip(chosen, places, strict=True):
-            if effect.given or effect.of_teeth:
-                precision[place] = (effect.usual * (1.0 if effect.given else _TEETH)) ** -2.0
+            times = 1.0 if effect.given else _TEETH if effect.of_teeth else _UNHEARD_OF
+            precision[place.start : place.start + effect.usual.size] = (effect.usual * times) ** -2.0
         return precision * self.misfit**2, pull
 
 

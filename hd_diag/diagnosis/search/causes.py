@@ -20,6 +20,7 @@ from hd_diag.diagnosis.search.acceptance import (
     lasting,
     only_corrects_shape,
     passing,
+    size,
     smooth,
     wanders,
 )
@@ -64,6 +65,8 @@ class Cause:
         Names that this record cannot tell from it, itself first.
     gain, gain_low, gain_high : float
         Share of the held-out deviance that it explains, with its interval.
+    own : float
+        Rms of its part that nothing else explains [rad].
     doubtful : bool
         Whether it may only mend the shape of something else, or a shape of no known cause explains plainly
         more in its place.
@@ -79,6 +82,7 @@ class Cause:
     gain: float = 0.0
     gain_low: float = 0.0
     gain_high: float = 0.0
+    own: float = 0.0
     doubtful: bool = False
 
 
@@ -154,25 +158,24 @@ def causes(
         alike = (effect.name, *effect.always_confused)
         with fit.work.until(_CLASSED, f"testing what would explain {words(effect.name)} as well"):
             alike = (effect.name, *_alike(fit, chosen, index, rivals))
-        p_value = chance(fit, chosen, index)
         gains = float(np.mean(share)), low, min(high, 1.0)
-        found.append(Cause(effect, nonlinear, *numbers, p_value, alike, *gains))
+        found.append(Cause(effect, nonlinear, *numbers, chance(fit, chosen, index), alike, *gains))
     return tuple(sorted(found, key=lambda cause: -cause.gain))
 
 
 def doubted(found: Search) -> Search:
-    """The same, with causes doubtful that only mend a shape, are beaten by a term, or may be slow noise.
+    """The same, with own sizes; doubtful is what only mends a shape, a term beats, or slow noise may be.
 
-    So are those that are needed only beside a doubtful one: two large effects that undo each other.
+    So is what is needed only beside a doubtful one: two large effects that undo each other.
     """
     fit, chosen, judged = found.fit, found.chosen, []
     for index, cause in enumerate(found.causes):
-        doubtful = only_corrects_shape(fit, chosen, index)
+        others = chosen[:index] + chosen[index + 1 :]
+        own, doubtful = size(fit, others, *chosen[index]), only_corrects_shape(fit, chosen, index)
         doubtful = doubtful or (smooth(cause.effect) and _beaten(fit, chosen, index))
         if "temperature" in cause.effect.needs:  # slow noise follows it as well
-            others = chosen[:index] + chosen[index + 1 :]
             doubtful = doubtful or not lasting(fit, others, cause.effect, cause.nonlinear)
-        judged.append(replace(cause, doubtful=doubtful))
+        judged.append(replace(cause, own=own, doubtful=doubtful))
     doubts = {cause.effect.name for cause in judged if cause.doubtful}
     certain = tuple(item for item in chosen if item[0].name not in doubts)
     with fit.work.until(_DOUBTED, "testing whether causes hold without hints"):
@@ -227,10 +230,8 @@ def left_out(fit: LinearisedFit, chosen: Chosen, index: int) -> tuple[Linearised
 def refitted(fit: LinearisedFit, found: Search) -> Search:
     """The same causes with numbers from a fit to other rows; names, classes and gains stay."""
     again = tuple(
-        replace(cause, coefficients=coefficients, covariance=spread, amplitude=amplitude)
-        for cause, (coefficients, spread, amplitude) in zip(
-            found.causes, _numbers(fit, found.chosen), strict=False
-        )
+        replace(cause, coefficients=numbers[0], covariance=numbers[1], amplitude=numbers[2])
+        for cause, numbers in zip(found.causes, _numbers(fit, found.chosen), strict=False)
     )
     whole = replace(found, fit=fit, causes=again)
     rest = Remainder.of(fit, whole.chosen)
