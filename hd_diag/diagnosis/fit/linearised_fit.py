@@ -324,7 +324,8 @@ class LinearisedFit:
         precision[self._all_held], pull[self._all_held] = _HELD, 0.0
         for (effect, _), place in zip(chosen, places, strict=True):
             times = 1.0 if effect.given else _TEETH if effect.of_teeth else _UNHEARD_OF
-            precision[place.start : place.start + effect.usual.size] = (effect.usual * times) ** -2.0
+            usual = effect.usual
+            precision[place.start : place.start + usual.size] = (usual * times) ** -2.0
         return precision * self.misfit**2, pull
 
 
