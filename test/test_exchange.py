@@ -7,7 +7,7 @@ import pytest
 from benches import EFFECTS, POINT, bench, of, swinging
 from joint_records import ARCSEC, NOISE
 
-from hd_diag.diagnosis.fit.joint_refinement import settle
+from hd_diag.diagnosis.fit.joint_refinement import sensible, settle
 from hd_diag.diagnosis.search.causes import causes
 from hd_diag.diagnosis.search.exchange import (
     at_best_choices,
@@ -97,6 +97,17 @@ def test_a_slot_beside_the_damaged_one_is_given_up_for_it() -> None:
     found, chosen = refined(fit, ((damage, (0.0, beside)),))
     assert chosen[0][1] == pytest.approx((0.0, hurt))
     assert np.std(found.remainder(chosen)) < 1.05 * NOISE
+
+
+@pytest.mark.parametrize("start", [(3.36, 2.0, 5.04, 3.0), (8.4, 2.0, 5.04, 3.0)])
+def test_a_shape_that_fits_better_where_it_is_no_longer_itself_is_not_taken(
+    start: tuple[float, ...],
+) -> None:
+    """A loop of which bend and elements oppose each other: nearer to it lies what no hysteresis is."""
+    loop, opposed = EFFECTS["hysteresis"], ARCSEC * np.array([12.5, -8.75])
+    fit = bench(lambda signals: loop.response(signals, opposed, (6.6, 2.2, 17.0, 1.26)))
+    assert sensible(settle(fit, ((loop, start),)), ((loop, start),)) == [True]
+    assert sensible(*refined(fit, ((loop, start),))) == [True]
 
 
 def test_a_cause_is_not_given_up_before_it_is_settled() -> None:

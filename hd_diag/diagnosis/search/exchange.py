@@ -31,8 +31,10 @@ def refined(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
     fit = settle(fit, chosen, rounds=2)
     effect, nonlinear = chosen[-1]
     if free(effect):
-        chosen = (*chosen[:-1], (effect, best_nonlinear(fit, chosen[:-1], effect, nonlinear)))
-        fit = settle(fit, chosen, rounds=1)
+        moved = (*chosen[:-1], (effect, best_nonlinear(fit, chosen[:-1], effect, nonlinear)))
+        there = settle(fit, moved, rounds=1)
+        if sensible(there, moved)[-1] or not sensible(fit, chosen)[-1]:
+            fit, chosen = there, moved
     again = _best_neighbours(fit, chosen, len(chosen) - 1)
     if again != chosen:
         fit, chosen = settle(fit.corrected(again), again, rounds=2), again

@@ -39,7 +39,7 @@ _NOISE = {"eccentricity": 20.0, "runout": 20.0}  # fall of the likelihood that n
 _USUAL_NOISE = 6.0  # that of parameters of which a wrong value does no harm
 _PREDICTED = 0.5  # of that fall, in blocks held out
 _AGREEING = 0.5  # of the gain, that may be lost in some blocks
-_DATUMS = np.arange(-12.0, 13.0, 4.0)  # from one at hand, with which other minima are looked for
+_DATUMS = np.array([12.0, 8.0, 4.0])  # to either side, with which other minima are looked for
 _ONE_SIGN = 0.05  # of the rows, that torque of the other sign has at most
 
 
@@ -99,8 +99,7 @@ class Kept:
         for rival in self.rivals:
             yield settle(replace(fit.moved(rival), held=()), chosen, learn=False)
         if "eccentricity" in self.bounds and DATUM not in self.held and _one_sided(fit):
-            for start in _datums(fit, _configured(fit)):
-                yield settle(fit.moved(start), chosen, 5, learn=False)
+            yield from _minima(fit, chosen, _configured(fit))
 
 
 def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Kept]:
@@ -176,12 +175,11 @@ def _best_minimum(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, li
     has minima of its own there.
     """
     away, spread = _away(fit, chosen)
-    starts = []
+    fits = [fit]
     if _certainty(away, spread, ["eccentricity"]) <= PLAIN:
-        starts += _datums(fit, _configured(fit))
+        fits += _minima(fit, chosen, _configured(fit))
     if _one_sided(fit):
-        starts += _datums(fit, fit.parameters)
-    fits = [fit, *(settle(fit.moved(start), chosen, rounds=5, learn=False) for start in starts)]
+        fits += _minima(fit, chosen, fit.parameters)
     fits.sort(key=lambda one: one.deviance(chosen))
     worst = _as_good(fits[0], chosen)
     return fits[0], distinct([_fitted(one, chosen) for one in fits if one.deviance(chosen) < worst])
@@ -198,11 +196,23 @@ def _configured(fit: LinearisedFit) -> Floats:
     return fit_parameters.vector(fit.data.configured, fit.data.configured)
 
 
-def _datums(fit: LinearisedFit, parameters: Floats) -> list[Floats]:
-    """Parameters (7,) with other datums."""
-    found = np.tile(parameters, (len(_DATUMS), 1))
-    found[:, DATUM] += _DATUMS
-    return [fit_parameters.admissible(one, fit.data.configured) for one in found]
+def _minima(fit: LinearisedFit, chosen: Chosen, parameters: Floats) -> list[LinearisedFit]:
+    """What other datums of some parameters, shape (7,), lead to: from far to near on either side.
+
+    Where a start leads back to a known minimum, those between both would lead there as well.
+    """
+    found = [fit]
+    for side in (_DATUMS, -_DATUMS):
+        for datum in side:
+            start = parameters.copy()
+            start[DATUM] += datum
+            start = fit_parameters.admissible(start, fit.data.configured)
+            there = settle(fit.moved(start), chosen, rounds=5, learn=False)
+            points = [_fitted(one, chosen) for one in found]
+            if not distinct([*points, _fitted(there, chosen)])[len(points) :]:
+                break
+            found.append(there)
+    return found[1:]
 
 
 def _one_sided(fit: LinearisedFit) -> bool:
