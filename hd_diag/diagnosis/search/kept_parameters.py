@@ -197,22 +197,24 @@ def _configured(fit: LinearisedFit) -> Floats:
 
 
 def _minima(fit: LinearisedFit, chosen: Chosen, parameters: Floats) -> list[LinearisedFit]:
-    """What other datums of some parameters, shape (7,), lead to: from far to near on either side.
+    """What some parameters, shape (7,), lead to with other datums: on either side from far to near.
 
-    Where a start leads back to a known minimum, those between both would lead there as well.
+    Where a start leads back to a known minimum, nearer ones on its side are not tried: they hardly ever lead
+    elsewhere.
     """
-    found = [fit]
-    for side in (_DATUMS, -_DATUMS):
+    found, points = list[LinearisedFit](), [_fitted(fit, chosen)]
+    for side in (_DATUMS, -_DATUMS, np.zeros(1)):
         for datum in side:
             start = parameters.copy()
             start[DATUM] += datum
             start = fit_parameters.admissible(start, fit.data.configured)
             there = settle(fit.moved(start), chosen, rounds=5, learn=False)
-            points = [_fitted(one, chosen) for one in found]
-            if not distinct([*points, _fitted(there, chosen)])[len(points) :]:
+            minimum = _fitted(there, chosen)
+            if len(distinct([*points, minimum])) == len(distinct(points)):
                 break
             found.append(there)
-    return found[1:]
+            points.append(minimum)
+    return found
 
 
 def _one_sided(fit: LinearisedFit) -> bool:
