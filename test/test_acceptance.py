@@ -397,8 +397,8 @@ def test_a_loop_has_to_be_more_than_torsion_whose_torque_is_a_little_late(made: 
     assert of_shapes(made, (), loop) == 0.0
 
 
-def test_a_loop_has_to_be_more_than_what_noise_of_the_torque_does() -> None:
-    """What bends the torsion by a smoothed torque that is still off by some 0.1 N m is no friction."""
+def test_a_loop_and_teeth_have_to_be_more_than_what_noise_of_the_torque_does() -> None:
+    """What bends the torsion by a smoothed torque that is still off by some 0.1 N m is neither of these."""
     record, rng = swinging(), np.random.default_rng(3)
     real = 0.1 * record.torque
     least = []
@@ -409,6 +409,7 @@ def test_a_loop_has_to_be_more_than_what_noise_of_the_torque_does() -> None:
         least.append(least_size(fit, *RUBBING))
     off = fit.whole.predicted_torque_slope * (fit.whole.torque - real)
     assert least[1] > max(np.std(off[fit.data.at]), 2.0 * least[0])
+    assert least_size(fit, EFFECTS["circular_spline_pitch"], ()) == least[1]
     assert least_size(fit, EFFECTS["torque_offset"], ()) == LEAST_SIZE
 
 

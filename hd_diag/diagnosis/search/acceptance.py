@@ -18,6 +18,7 @@ from hd_diag.effects.effect import Effect, Stage
 from hd_diag.model.torsion_map import ARCSEC
 
 _TORSION = "torsional_hardening"
+_LOOP = "hysteresis"
 
 FAMILY_ERROR = 0.01
 """Chance of any false name by noise, over all candidates and grid points."""
@@ -177,20 +178,20 @@ def least_size(fit: LinearisedFit, effect: Effect, nonlinear: tuple[float, ...])
 
     Rounding to counts is no noise where an encoder hardly moves: it looks like a delay; nor at a speed that
     comes back: there the input's, of which no wave is known as of the output's, is a line whose phase slips.
-    Torsion by a late torque is a loop; and what smoothing left of the torque's noise, or cut of its corners,
-    a loop may filter as well.
+    What smoothing left of the torque's noise, or cut of its corners, bends the torsion: a loop or teeth that
+    differ, of which parameters imitate most, may follow it. Torsion by a late torque is a loop.
     """
     if effect.stage == Stage.STREAM:
         return max(LEAST_SIZE, _ROUNDED * fit.data.counted)
     if effect.wanders(nonlinear):
         return max(LEAST_SIZE, _ROUNDED * rounding(fit.data.count_steps[0]))
-    if effect.name != "hysteresis":
+    if not effect.of_teeth and effect.name != _LOOP:
         return LEAST_SIZE
     whole, at = fit.whole, fit.data.at
-    slope = whole.predicted_torque_slope[at]
-    late = _CYCLES * usual_step(whole.time) * fit.data.model.rate(whole.torque)
-    off = _SMOOTHED * fit.data.source.torque_deviation
-    by_torque = [float(np.sqrt(np.mean((slope * one[at]) ** 2))) for one in (late, off)]
+    slope, off = whole.predicted_torque_slope[at], [_SMOOTHED * fit.data.source.torque_deviation]
+    if effect.name == _LOOP:
+        off += [_CYCLES * usual_step(whole.time) * fit.data.model.rate(whole.torque)]
+    by_torque = [float(np.sqrt(np.mean((slope * one[at]) ** 2))) for one in off]
     return max(LEAST_SIZE, *by_torque)
 
 
