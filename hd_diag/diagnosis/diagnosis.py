@@ -36,6 +36,7 @@ from hd_diag.effects.effect import Stage
 from hd_diag.extended_model import ExtendedModel
 
 _MOST_ALIKE = 5  # causes that a class may hold and still say something
+_UNDONE = 1.5  # times what the configured drive leaves, that a cause may be of which others undo a part
 _TESTED = 0.9  # of the time that a diagnosis may take, by which what could have been shown is tested
 _NO_LAWS = ("no law was found", "no law was found")
 _BY_TORQUE = ("friction", "torsion")  # kinds of causes that a motor's own friction and constant imitate
@@ -102,15 +103,17 @@ class Diagnosis:
 
         Nor in a misfit, or where one may be that is larger than what it explains, or beside which that may be
         chance: what else is wrong may look like it. Nor if held-out rows are predicted no better with the
-        causes. Where the torque is a motor's current nothing is named that may be friction, torsion or the
-        torque's reading: the motor's own friction and constant are fitted too, and not known well enough.
+        causes, or if it is plainly more than all that the configured drive leaves: others undo it. Where the
+        torque is a motor's current nothing is named that may be friction, torsion or the reading: the
+        motor's own friction and constant are fitted too, and not known well enough.
         """
         sure, left = self.refitted is None or self.refitted.trustworthy, self.misfit
         ahead = left is None or not left.suspected
         if self.rms and left and self.found and left.suspected and not left.certain:
             p_value = chance_in_misfit(cause.p_value, self.found.family, left.value)
             ahead = cause.own > self.rms.beyond_noise and p_value <= FAMILY_ERROR
-        named = sure and ahead and self.predicting and len(cause.alike) <= _MOST_ALIKE
+        undone = self.rms is not None and cause.amplitude > _UNDONE * self.rms.nominal
+        named = sure and ahead and self.predicting and not undone and len(cause.alike) <= _MOST_ALIKE
         by_torque = self.record.by_current and any(
             effect.kind in _BY_TORQUE or effect.stage == Stage.TORQUE
             for effect in self.catalogue
