@@ -119,15 +119,18 @@ def test_a_displacement_where_more_than_noise_may_be_left_has_to_be_plain() -> N
         assert ("how far off it may be cannot be determined" in sentence(answer)) is not stated
 
 
-def test_a_cause_of_which_the_parameters_undo_most_is_a_hint() -> None:
+def test_a_cause_of_which_the_parameters_undo_most_is_a_hint_and_they_are_not_known() -> None:
     """What is far larger than all that the configured drive leaves would be no error that anyone measured."""
     large = cause("hysteresis")
     for nominal, named in ((0.9, 1), (0.5, 0)):
         rms = dataclasses.replace(NEAR, nominal=nominal * large.amplitude, refit=0.45 * large.amplitude)
         rms = dataclasses.replace(rms, **dict.fromkeys(("named", "extended", "offline"), rms.noise))
-        made = diagnosis(large, rms=rms)
+        made = diagnosis(large, rms=rms, refitted=refitted(eccentricity=5.0 + 0.0j))
         assert made.predicting
         assert (len(made.causes), len(made.hints)) == (named, 1 - named)
+        answer = Answer(made)
+        assert answer.vague is not bool(named)
+        assert ("eccentricity" in [change.name for change in answer.changes]) is bool(named)
 
 
 def test_a_cause_that_foretells_no_more_than_the_configured_drive_is_a_hint() -> None:

@@ -98,22 +98,26 @@ class Diagnosis:
         rms = self.rms
         return rms is None or rms.by_causes < rms.without_causes
 
+    def is_undone(self, cause: Cause) -> bool:
+        """Whether a cause is plainly more than all that the configured drive leaves: others undo it."""
+        return self.rms is not None and cause.amplitude > _UNDONE * self.rms.nominal
+
     def _is_named(self, cause: Cause) -> bool:
         """Whether a cause is named; not if too many others explain as much, or the parameters are ambiguous.
 
         Nor in a misfit, or where one may be that is larger than what it explains, or beside which that may be
         chance: what else is wrong may look like it. Nor if held-out rows are predicted no better with the
-        causes, or if it is plainly more than all that the configured drive leaves: others undo it. Where the
-        torque is a motor's current nothing is named that may be friction, torsion or the reading: the
-        motor's own friction and constant are fitted too, and not known well enough.
+        causes, or if others undo it. Where the torque is a motor's current nothing is named that may be
+        friction, torsion or the torque's reading: the motor's own friction and constant are fitted too, and
+        not known well enough.
         """
         sure, left = self.refitted is None or self.refitted.trustworthy, self.misfit
         ahead = left is None or not left.suspected
         if self.rms and left and self.found and left.suspected and not left.certain:
             p_value = chance_in_misfit(cause.p_value, self.found.family, left.value)
             ahead = cause.own > self.rms.beyond_noise and p_value <= FAMILY_ERROR
-        undone = self.rms is not None and cause.amplitude > _UNDONE * self.rms.nominal
-        named = sure and ahead and self.predicting and not undone and len(cause.alike) <= _MOST_ALIKE
+        named = sure and ahead and self.predicting and not self.is_undone(cause)
+        named = named and len(cause.alike) <= _MOST_ALIKE
         by_torque = self.record.by_current and any(
             effect.kind in _BY_TORQUE or effect.stage == Stage.TORQUE
             for effect in self.catalogue

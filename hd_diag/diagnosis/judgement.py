@@ -96,9 +96,9 @@ class Answer:
 
     @property
     def vague(self) -> bool:
-        """Whether more than noise may be left: a displacement that is not plain may be a part of that."""
+        """Whether a displacement that is not plain may be a part of what is left, or undo a cause."""
         left = self.diagnosis.misfit
-        return bool(left and left.suspected)
+        return bool(left and left.suspected) or any(map(self.diagnosis.is_undone, self.diagnosis.hints))
 
     @cached_property
     def changes(self) -> list[Change]:
