@@ -393,6 +393,17 @@ def test_gain_and_zero_of_a_torque_that_never_changes_are_one_class() -> None:
         assert ("torque_offset" in cause.alike) is expected
 
 
+def test_a_torque_that_the_motion_cannot_prove_is_a_rival_whoever_else_is() -> None:
+    """Without load a wrong zero and errors of the slots can do the same; the zero is what is in the data."""
+    record = generated(families.made("unloaded", 1_000_000_859))
+    begun = refit(record, CONFIGURED, np.random.default_rng(0))
+    form = EFFECTS["circular_spline_form"]
+    chosen: Chosen = ((form, form.grid[0]),)
+    fit = settle(linearise(record, CONFIGURED, begun.parameters), chosen, 8)
+    (cause,) = causes(fit, chosen, (), np.random.default_rng(0))
+    assert {"torque_offset", "torque_gain"} <= {*cause.alike}
+
+
 def test_parameters_that_held_out_rows_speak_against_are_not_kept() -> None:
     """What little the fitted rows say of a cup, under little torque, others under more torque bear out."""
     record = swinging(60.0)

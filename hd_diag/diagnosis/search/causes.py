@@ -304,8 +304,9 @@ def _alike(fit: LinearisedFit, chosen: Chosen, index: int, rivals: Collection[st
     """Effects that would do as well in place of one, whether or not the motion can prove them.
 
     One that is worse in some blocks and better in others cannot be distinguished from it either: where the
-    model leaves more than noise, sums alone say nothing. Of a torque that hardly changes another value may be
-    the real one, where the model's ripple is not quite the same.
+    model leaves more than noise, sums alone say nothing. Torques that the motion cannot prove always compete:
+    of one that hardly changes another value may be the real one, where the model's ripple is not quite the
+    same.
     """
     effect, named = chosen[index][0], {e.name for e, _ in chosen}
     found = [name for name in effect.always_confused if name not in named]
@@ -313,7 +314,8 @@ def _alike(fit: LinearisedFit, chosen: Chosen, index: int, rivals: Collection[st
     again = (*others, chosen[index])
     gain = without.deviance(others) - fit.deviance(chosen)
     far = _FAR * gain if gain > _CERTAIN else 0.0
-    for candidate in ranked(without, others, by_name(fit, {*rivals, *effect.confused_with})):
+    unproven = {e.name for e in fit.data.searched if e.stage == Stage.TORQUE and not fit.data.testable(e)[0]}
+    for candidate in ranked(without, others, by_name(fit, {*rivals, *effect.confused_with, *unproven})):
         name, trial = candidate.effect.name, (*others, (candidate.effect, candidate.nonlinear))
         if name in named or name in found:
             continue
