@@ -121,9 +121,10 @@ def test_a_displacement_where_more_than_noise_may_be_left_has_to_be_plain() -> N
 
 def test_a_cause_of_which_the_parameters_undo_most_is_a_hint_and_they_are_not_known() -> None:
     """What is far larger than all that the configured drive leaves would be no error that anyone measured."""
-    large = cause("hysteresis")
-    for nominal, named in ((0.9, 1), (0.5, 0)):
-        rms = dataclasses.replace(NEAR, nominal=nominal * large.amplitude, refit=0.45 * large.amplitude)
+    runout, law = cause("output_runout"), cause("hysteresis")
+    law = dataclasses.replace(law, own=0.5 * law.amplitude)  # the rest may be a compliance
+    for large, nominal, named in ((runout, 0.9, 1), (runout, 0.5, 0), (law, 0.5, 1), (law, 0.3, 0)):
+        rms = dataclasses.replace(NEAR, nominal=nominal * large.amplitude, refit=0.28 * large.amplitude)
         rms = dataclasses.replace(rms, **dict.fromkeys(("named", "extended", "offline"), rms.noise))
         made = diagnosis(large, rms=rms, refitted=refitted(eccentricity=5.0 + 0.0j))
         assert made.predicting

@@ -37,6 +37,7 @@ from hd_diag.extended_model import ExtendedModel
 
 _MOST_ALIKE = 5  # causes that a class may hold and still say something
 _UNDONE = 1.5  # times what the configured drive leaves, that a cause may be of which others undo a part
+_TORQUE_ALONE = frozenset(("torque", "run"))  # what a law of the torque is computed from
 _TESTED = 0.9  # of the time that a diagnosis may take, by which what could have been shown is tested
 _NO_LAWS = ("no law was found", "no law was found")
 _BY_TORQUE = ("friction", "torsion")  # kinds of causes that a motor's own friction and constant imitate
@@ -99,8 +100,12 @@ class Diagnosis:
         return rms is None or rms.by_causes < rms.without_causes
 
     def is_undone(self, cause: Cause) -> bool:
-        """Whether a cause is plainly more than all that the configured drive leaves: others undo it."""
-        return self.rms is not None and cause.amplitude > _UNDONE * self.rms.nominal
+        """Whether a cause is plainly more than all that the configured drive leaves: others undo it.
+
+        Of a law of the torque what is straight counts as a compliance, of which it is no part to undo.
+        """
+        size = cause.own if _TORQUE_ALONE.issuperset(cause.effect.needs) else cause.amplitude
+        return self.rms is not None and size > _UNDONE * self.rms.nominal
 
     def _is_named(self, cause: Cause) -> bool:
         """Whether a cause is named; not if too many others explain as much, or the parameters are ambiguous.

@@ -304,9 +304,8 @@ def _alike(fit: LinearisedFit, chosen: Chosen, index: int, rivals: Collection[st
     """Effects that would do as well in place of one, whether or not the motion can prove them.
 
     One that is worse in some blocks and better in others cannot be distinguished from it either: where the
-    model leaves more than noise, sums alone say nothing. Torques that the motion cannot prove always compete:
-    of one that hardly changes another value may be the real one, where the model's ripple is not quite the
-    same.
+    model leaves more than noise, sums alone say nothing. Torques that the motion cannot prove compete with
+    whatever else: of one that hardly changes another value may be real, where ripple is not quite the same.
     """
     effect, named = chosen[index][0], {e.name for e, _ in chosen}
     found = [name for name in effect.always_confused if name not in named]
@@ -315,17 +314,16 @@ def _alike(fit: LinearisedFit, chosen: Chosen, index: int, rivals: Collection[st
     gain = without.deviance(others) - fit.deviance(chosen)
     far = _FAR * gain if gain > _CERTAIN else 0.0
     unproven = {e.name for e in fit.data.searched if e.stage == Stage.TORQUE and not fit.data.testable(e)[0]}
-    for candidate in ranked(without, others, by_name(fit, {*rivals, *effect.confused_with, *unproven})):
+    more = unproven if effect.stage != Stage.TORQUE else ()
+    for candidate in ranked(without, others, by_name(fit, {*rivals, *effect.confused_with, *more})):
         name, trial = candidate.effect.name, (*others, (candidate.effect, candidate.nonlinear))
-        if name in named or name in found:
+        if name in named or name in found or (candidate.gain < far and name not in unproven):
             continue
-        if candidate.effect.stage == Stage.TORQUE and not fit.data.testable(candidate.effect)[0]:
+        if name in unproven:
             there = settle(without.corrected(trial), trial, _TO_ITS_SIZE, learn=False)
             as_much = there.deviance(trial) - itself.deviance(again) < _NEARLY_AS_MUCH * gain
             if as_much or same_columns(without, chosen[index], trial[-1]):
                 found.append(name)
-            continue
-        if candidate.gain < far:
             continue
         there, blind = without.corrected(trial), wanders(chosen) or wanders(trial)
         if itself is fit:
