@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from joint_records import ARCSEC, columns, joint, prepared
 
+from hd_diag.diagnosis.detectability import NOT_PROVED, Detectability
 from hd_diag.diagnosis.diagnosis import Allowed, Diagnosis
 from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.refit import Refit
 from hd_diag.diagnosis.gain import Gain, Rms
 from hd_diag.diagnosis.judgement import Answer
-from hd_diag.diagnosis.search import detectability
 from hd_diag.diagnosis.search.causes import Cause
 from hd_diag.diagnosis.search.order_table import OrderRow
 from hd_diag.diagnosis.search.unexplained import Unexplained
@@ -64,8 +64,8 @@ def refitted(trustworthy: bool = True, eccentricity: complex = 18.2 * np.exp(1.2
 LINE = Unexplained(3.37, "input", 2.0 * ARCSEC, "independent of torque", "the same in both directions")
 ROW = OrderRow(3.372, "input", (3.372, 0.0), np.array([2.0 * ARCSEC, 0.0]), np.eye(2) * 1e-14, True, ())
 TESTS = (
-    detectability.Detectability("resonance", False, float("nan"), "one speed only"),
-    detectability.Detectability("hysteresis", True, 0.3 * ARCSEC, "tested"),
+    Detectability("resonance", False, float("nan"), "one speed only"),
+    Detectability("hysteresis", True, 0.3 * ARCSEC, "tested"),
 )
 
 
@@ -302,3 +302,33 @@ def test_the_lines_name_gain_and_what_was_not_testable() -> None:
         f"inspect: {EFFECTS['hysteresis'].inspect}",
         "not testable here: resonance: one speed only",
     ]
+
+
+def test_what_lacks_for_the_same_reason_is_one_line() -> None:
+    tests = [
+        Detectability(name, False, float("nan"), why) for name, why in (("a_b", "x"), ("c", "y"), ("d", "x"))
+    ]
+    assert summary(diagnosis(testable=tests))[-2:] == [
+        "not testable here: a b, d: x",
+        "not testable here: c: y",
+    ]
+
+
+def test_what_is_not_named_is_not_absent() -> None:
+    """Hints, those that no record like this tells from a cause, and what a misfit or doubts may hide."""
+    named = diagnosis(cause("output_runout", alike=("output_encoder_eccentricity",)))
+    assert named.undecided == {"output_encoder_eccentricity": "this record cannot tell it from output runout"}
+    doubtful = dataclasses.replace(cause("hysteresis", alike=("coulomb_windup",)), doubtful=True)
+    assert diagnosis(doubtful).undecided == {"hysteresis": NOT_PROVED, "coulomb_windup": NOT_PROVED}
+    worse = Rms(*(ARCSEC * v for v in (40.0, 25.0, 20.0, 20.0, 20.0, 20.0, 3.2, 3.1, 3.3)))
+    for made in (diagnosis(rms=worse), diagnosis(refitted=refitted(trustworthy=False))):
+        assert made.undecided.keys() == EFFECTS.keys()
+        assert len(set(made.undecided.values())) == 1
+
+
+def test_by_a_motor_s_current_what_the_motor_imitates_is_not_absent() -> None:
+    record = dataclasses.replace(diagnosis().record, by_current=True)
+    undecided = diagnosis(record=record).undecided
+    assert {"coulomb_windup", "torsional_hardening", "torque_sensor_ripple"} <= undecided.keys()
+    assert not {"output_runout", "input_encoder_eccentricity"} & undecided.keys()
+    assert diagnosis().undecided == {}

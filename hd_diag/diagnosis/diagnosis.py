@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from itertools import filterfalse
+from itertools import compress, filterfalse
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from hd_diag.diagnosis.detectability import NOT_PROVED, Detectability, testability
 from hd_diag.diagnosis.extension import encoder_zeros, extended_model
 from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.fit import fit_parameters
@@ -23,7 +24,6 @@ from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.screening import Screened, screened, without_misleading_torque
 from hd_diag.diagnosis.search.acceptance import FAMILY_ERROR, chance_in_misfit
 from hd_diag.diagnosis.search.causes import Cause, Search, doubted, motor_deviations, refitted
-from hd_diag.diagnosis.search.detectability import Detectability, testability
 from hd_diag.diagnosis.search.minima import is_only_minimum
 from hd_diag.diagnosis.search.order_table import OrderRow
 from hd_diag.diagnosis.search.selection import search
@@ -34,6 +34,7 @@ from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE, Catalogue
 from hd_diag.effects.effect import Stage
 from hd_diag.extended_model import ExtendedModel
+from hd_diag.formatting import words
 
 _MOST_ALIKE = 5  # causes that a class may hold and still say something
 _UNDONE = 1.5  # times what the configured drive leaves, that a cause may be of which others undo a part
@@ -41,6 +42,9 @@ _TORQUE_ALONE = frozenset(("torque", "run"))  # what a law of the torque is comp
 _TESTED = 0.9  # of the time that a diagnosis may take, by which what could have been shown is tested
 _NO_LAWS = ("no law was found", "no law was found")
 _BY_TORQUE = ("friction", "torsion")  # kinds of causes that a motor's own friction and constant imitate
+_BY_MOTOR = "a motor's own friction and constant imitate it: measure the torque at the joint"
+_HIDDEN = "more than noise is left: what else is wrong may hide it"
+_AMBIGUOUS = "the parameters are ambiguous: with others it may be there"
 
 
 class Allowed(NamedTuple):
@@ -116,19 +120,37 @@ class Diagnosis:
         friction, torsion or the torque's reading: the motor's own friction and constant are fitted too, and
         not known well enough.
         """
-        sure, left = self.refitted is None or self.refitted.trustworthy, self.misfit
-        ahead = left is None or not left.suspected
-        if self.rms and left and self.found and left.suspected and not left.certain:
-            p_value = chance_in_misfit(cause.p_value, self.found.family, left.value)
-            ahead = cause.own > self.rms.beyond_noise and p_value <= FAMILY_ERROR
-        named = sure and ahead and self.predicting and not self.is_undone(cause)
-        named = named and len(cause.alike) <= _MOST_ALIKE
-        by_torque = self.record.by_current and any(
-            effect.kind in _BY_TORQUE or effect.stage == Stage.TORQUE
-            for effect in self.catalogue
-            if effect.name in cause.alike
-        )
-        return named and not by_torque and not cause.doubtful
+        named = self.predicting and not self.is_undone(cause) and len(cause.alike) <= _MOST_ALIKE
+        if self.rms and self.misfit and self.found and self.misfit.suspected:
+            p_value = chance_in_misfit(cause.p_value, self.found.family, self.misfit.value)
+            named = named and cause.own > self.rms.beyond_noise and p_value <= FAMILY_ERROR
+        return named and not cause.doubtful and not self._nameless.keys() & set(cause.alike)
+
+    @property
+    def undecided(self) -> dict[str, str]:
+        """Effects that are neither found nor absent, and why."""
+        of_hints = {name: NOT_PROVED for cause in self.hints for name in cause.alike}
+        of_classes = {
+            name: f"this record cannot tell it from {words(cause.alike[0])}"
+            for cause in self.causes
+            for name in cause.alike[1:]
+        }
+        return of_hints | of_classes | self._nameless
+
+    @property
+    def _nameless(self) -> dict[str, str]:
+        """Effects that would not be named whatever their size, and why."""
+        names, why = [effect.name for effect in self.catalogue], ""
+        if self.misfit and self.misfit.certain:
+            why = _HIDDEN
+        elif self.refitted and not self.refitted.trustworthy:
+            why = _AMBIGUOUS
+        elif self.record.by_current:
+            of_motor = (
+                effect.kind in _BY_TORQUE or effect.stage == Stage.TORQUE for effect in self.catalogue
+            )
+            names, why = list(compress(names, of_motor)), _BY_MOTOR
+        return dict.fromkeys(names, why) if why else {}
 
     @property
     def order_table(self) -> tuple[OrderRow, ...]:
@@ -193,6 +215,7 @@ def diagnose(
     present = (one for one in best.found.fit.present if not isinstance(one[0][0], UnmodelledTerm))
     every = replace(best.every, held=kept.held).beside(tuple(present))
     whole = doubted(refitted(settle(every, best.found.chosen), best.found))
+    searched = best.found
     del begun, plain, found, best, every  # some hundred columns each
     # As of an average whose parts disagree: Birge, Phys. Rev. 40 (1932).
     wider = rms.misfit.value if rms.misfit.suspected else 1.0
@@ -204,10 +227,8 @@ def diagnose(
     trustworthy = certain and not fit_parameters.at_bound(parameters, configured)
     drive = fit_parameters.drive_of(parameters, configured)
     work.tell(0.92, "looking at what no cause explains")
-    left, testable = _described(record, unexplained(whole), rms), list[Detectability]()
-    with work.until(_TESTED, "testing what this motion could have shown"):
-        testable = testability(whole)
-    return Diagnosis(
+    left = _described(record, unexplained(whole), rms)
+    result = Diagnosis(
         record,
         configured,
         findings,
@@ -217,13 +238,14 @@ def diagnose(
         gain,
         {name: wider * bound for name, bound in kept.physical(configured).items()},
         left,
-        tuple(testable),
-        extended_model(whole, configured, record),
-        catalogue,
+        model=extended_model(whole, configured, record),
+        catalogue=catalogue,
         encoder_zeros=tuple(encoder_zeros(whole).tolist()),
         motor_std=motor_deviations(whole),
-        left_out=tuple(work.left_out),
     )
+    with work.until(_TESTED, "testing what this motion could have shown"):
+        result = replace(result, testable=testability(searched, rms, result.undecided))
+    return replace(result, left_out=tuple(work.left_out))
 
 
 def _described(record: Record, lines: list[Unexplained], rms: Rms) -> tuple[Unexplained, ...]:

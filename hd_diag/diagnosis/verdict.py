@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from typing import Any
 
 import numpy as np
@@ -325,5 +326,8 @@ def summary(diagnosis: Diagnosis) -> list[str]:
     if any(change.name == "eccentricity" for change in answer.changes):
         lines.append(f"direction: {_HOW_TO_FIND}")
     lines += [f"inspect: {cause.effect.inspect}" for cause in diagnosis.causes]
-    untested = [test for test in diagnosis.testable if not test.testable]
-    return lines + [f"not testable here: {words(test.name)}: {test.reason}" for test in untested]
+    untested = defaultdict[str, list[str]](list)
+    for test in diagnosis.testable:
+        if not test.testable:
+            untested[test.reason].append(words(test.name))
+    return lines + [f"not testable here: {', '.join(names)}: {why}" for why, names in untested.items()]

@@ -49,7 +49,7 @@ COLUMNS = pa.schema(
         _column("cause_gain_high", _NUMBER, "1", "upper end of its interval"),
         _column("cause_p_value", _NUMBER, "1", "corrected for all candidates"),
         _column("tested", _TEXTS, "", "causes that the record could have shown"),
-        _column("tested_least_rad", _NUMBERS, _RMS, "least size of each found with 99 % chance"),
+        _column("tested_least_rad", _NUMBERS, _RMS, "least size of each, named with 99 % chance"),
         _column("rms_nominal_rad", _NUMBER, "rad", "held-out residual, simulation as configured"),
         _column("rms_refit_rad", _NUMBER, "rad", "held-out residual, parameters refitted"),
         _column("rms_extended_rad", _NUMBER, "rad", "held-out residual, with the causes found"),

@@ -272,12 +272,15 @@ def block_deviances(fit: LinearisedFit, chosen: Chosen) -> Floats:
 
 def size(fit: LinearisedFit, chosen: Chosen, effect: Effect, nonlinear: tuple[float, ...]) -> float:
     """Rms of what the model and the chosen effects, fitted to an effect's part, leave of it [rad]."""
-    part = _part(fit, chosen, effect, nonlinear)
+    return float(np.std(own_part(fit, chosen, _part(fit, chosen, effect, nonlinear))))
+
+
+def own_part(fit: LinearisedFit, chosen: Chosen, part: Floats) -> Floats:
+    """What the model and the chosen effects, fitted to a part or several, leave of them; (n,) or (n, k)."""
     fixed = np.concatenate((fit.always(), fit.joined(chosen)), axis=1)
     white = fit.whiten(part, fit.data.run)
     moment = [one.T @ white for one in (fit.always_white, *(fit.white(*item) for item in chosen))]
-    own = part - fixed @ solve(fit.design(chosen).whole[0], np.concatenate(moment))
-    return float(np.std(own))
+    return np.asarray(part - fixed @ solve(fit.design(chosen).whole[0], np.concatenate(moment)))
 
 
 def _part(fit: LinearisedFit, chosen: Chosen, effect: Effect, nonlinear: tuple[float, ...]) -> Floats:
