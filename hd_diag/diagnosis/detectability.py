@@ -62,13 +62,22 @@ def testability(found: Search, rms: Rms, undecided: Mapping[str, str]) -> tuple[
     best = {one.effect.name: one for one in ranked(fit, chosen, rivals)}
     tests = []
     for effect in fit.data.searched:
+        lacking = _lacking(fit, effect)
         if effect.name in undecided:
-            tests.append(Detectability(effect.name, False, math.nan, undecided[effect.name]))
+            tests.append(Detectability(effect.name, False, math.nan, lacking or undecided[effect.name]))
         elif effect.name in named:
             tests.append(Detectability(effect.name, True, LEAST_SIZE, "found"))
+        elif not competes(fit, effect):
+            tests.append(Detectability(effect.name, False, math.nan, lacking))
         else:
-            tests.append(_tested(fit, chosen, effect, best.get(effect.name), rms, family))
+            tests.append(_tested(fit, chosen, effect, best.get(effect.name), rms, family, lacking))
     return tuple(tests)
+
+
+def _lacking(fit: LinearisedFit, effect: Effect) -> str:
+    """What the motion lacks to show an effect; where it lacks nothing, that the torque is not known."""
+    lacking = fit.data.testable(effect)[1]
+    return lacking or ("" if competes(fit, effect) else torque_known(fit.signals)[1])
 
 
 def _tested(
@@ -78,11 +87,9 @@ def _tested(
     best: Candidate | None,
     rms: Rms,
     family: int,
+    lacking: str,
 ) -> Detectability:
     """By what the record determines with everything else free; the motion says what it lacks, in words."""
-    lacking = fit.data.testable(effect)[1]
-    if not competes(fit, effect):  # where the motion lacks nothing the torque is not known
-        return Detectability(effect.name, False, math.nan, lacking or torque_known(fit.signals)[1])
     if not best and not effect.starts(fit.signals, fit.remainder(chosen)).points:
         return Detectability(effect.name, False, math.nan, lacking or _NO_START)
     nonlinear = best.nonlinear if best else fit.data.grid(effect)[len(fit.data.grid(effect)) // 2]
