@@ -98,7 +98,7 @@ NAMES: tuple[Column, ...] = (
     ("right up to class", lambda s: rate(x.right for x in s)),
     ("exact", lambda s: rate(x.exact for x in s)),
     ("records with a false name", lambda s: rate(x.false_names > 0 for x in s)),
-    ("false names a record", lambda s: f"{np.mean([x.false_names for x in s]):.2f}"),
+    ("a cause denied", lambda s: rate(bool(x.denied) for x in s if x.hidden and x.method == OWN)),
     ("amplitude error", lambda s: median((e for x in s for e in x.amplitude_errors), "{:.1f} %", 100.0)),
     ("time [s]", lambda s: median((x.seconds for x in s), "{:.1f}")),
 )

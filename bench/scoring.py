@@ -47,6 +47,7 @@ class Score:
     false_names : classes named that hold nothing true
     amplitude_errors : relative, of those named rightly
     listed : hidden names that the record's motion was said not to show
+    denied : hidden names not found, though larger than what the record was said to show
     claimed : an eccentricity or runout said to differ from what is configured
     flagged : something said to be unexplained, or the model not to fit
     order_right : of an unknown cause; None where it has no order
@@ -68,6 +69,7 @@ class Score:
     false_names: int = 0
     amplitude_errors: list[float] = field(default_factory=list)
     listed: list[str] = field(default_factory=list)
+    denied: list[str] = field(default_factory=list)
     claimed: bool = False
     flagged: bool = False
     order_right: bool | None = None
@@ -182,7 +184,10 @@ def score(made: records.Record, family: str, seed: int) -> Score:
     sizes = [float("nan")] * len(found.findings) + [cause.amplitude for cause in found.causes]
     judged = np.searchsorted(made.time, found.record.time[usable(found.record)])  # amplitudes are of these
     result = scored("hd_diag", made, family, seed, named, sizes, judged)
+    missed = set(result.hidden) - {result.hidden[h] for h, _ in matched(result.hidden, named)}
     result.listed = [t.name for t in found.testable if not t.testable and t.name in result.hidden]
+    shown = {t.name: t.least_size for t in found.testable if t.testable}
+    result.denied = [n for n in missed & shown.keys() if size_of(made, n, judged) > shown[n]]
     result.seconds = seconds
     answer = Answer(found)
     result.verdict = sentence(answer)
