@@ -89,9 +89,13 @@ class Score:
     @property
     def right(self) -> bool:
         """All that is hidden named up to its class, no more; poor motions may say what they cannot show."""
-        named = {self.hidden[h] for h, _ in matched(self.hidden, self.found)}
         excused = set(self.listed) if FAMILIES[self.family].excused else set()
-        return self.false_names == 0 and set(self.hidden) <= named | excused
+        return self.false_names == 0 and self.missed <= excused
+
+    @property
+    def missed(self) -> set[str]:
+        """What is hidden and in no class that was named."""
+        return set(self.hidden) - {self.hidden[h] for h, _ in matched(self.hidden, self.found)}
 
     @property
     def passed_over(self) -> bool:
@@ -184,10 +188,9 @@ def score(made: records.Record, family: str, seed: int) -> Score:
     sizes = [float("nan")] * len(found.findings) + [cause.amplitude for cause in found.causes]
     judged = np.searchsorted(made.time, found.record.time[usable(found.record)])  # amplitudes are of these
     result = scored("hd_diag", made, family, seed, named, sizes, judged)
-    missed = set(result.hidden) - {result.hidden[h] for h, _ in matched(result.hidden, named)}
     result.listed = [t.name for t in found.testable if not t.testable and t.name in result.hidden]
     shown = {t.name: t.least_size for t in found.testable if t.testable}
-    result.denied = [n for n in missed & shown.keys() if size_of(made, n, judged) > shown[n]]
+    result.denied = [n for n in result.missed & shown.keys() if size_of(made, n, judged) > shown[n]]
     result.seconds = seconds
     answer = Answer(found)
     result.verdict = sentence(answer)

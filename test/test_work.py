@@ -73,7 +73,7 @@ def test_a_diagnosis_without_time_measures_the_fit_and_the_misfit_and_says_what_
     hurried = Work(0.0, lambda share, text: shares.append(share))
     found = diagnose(record, CONFIGURED, np.random.default_rng(0), hurried)
     assert (found.causes, found.left_out[0]) == ((), FURTHER_CAUSES)
-    assert [test for test in found.testable if test.testable] == []
+    assert {test.testable for test in found.testable} == {False}
     told = json.loads(json.dumps(as_json(found, "joint_1"), allow_nan=False))
     assert told["judgement"] == "misfit"
     assert told["left_out"] == [*found.left_out]

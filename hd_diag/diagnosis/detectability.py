@@ -63,12 +63,10 @@ def testability(found: Search, rms: Rms, undecided: Mapping[str, str]) -> tuple[
     tests = []
     for effect in fit.data.searched:
         lacking = _lacking(fit, effect)
-        if effect.name in undecided:
+        if effect.name in undecided or not competes(fit, effect):
             tests.append(Detectability(effect.name, False, math.nan, lacking or undecided[effect.name]))
         elif effect.name in named:
             tests.append(Detectability(effect.name, True, LEAST_SIZE, "found"))
-        elif not competes(fit, effect):
-            tests.append(Detectability(effect.name, False, math.nan, lacking))
         else:
             tests.append(_tested(fit, chosen, effect, best.get(effect.name), rms, family, lacking))
     return tuple(tests)
