@@ -28,6 +28,7 @@ def assert_one_line_error(result: Result, *parts: str) -> None:
     assert isinstance(result.exception, SystemExit)
     assert (result.exit_code, result.stdout) == (2, "")
     assert len(result.stderr.splitlines()) == 1
+    assert "an error of hd-diag itself" not in result.stderr
     assert result.stderr.startswith("hd-diag: ")
     for part in parts:
         assert part in result.stderr

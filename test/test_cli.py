@@ -356,6 +356,18 @@ def test_a_missing_dependency_is_one_line(monkeypatch: pytest.MonkeyPatch) -> No
     assert_one_line_error(hd_diag("mesh"), "hd-diag: No module named 'numba': python3 -m pip install numba")
 
 
+def test_a_fault_of_the_program_is_one_line_and_no_finding(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The code 1 is a finding's, so that a script never takes a crash for one."""
+
+    def faulty(*_: Any) -> None:
+        raise IndexError("index 5 is out of bounds\nfor axis 0")
+
+    monkeypatch.setattr("hd_diag.cli.mesh.moment", faulty)
+    result = hd_diag("mesh")
+    assert (result.exit_code, result.stdout, len(result.stderr.splitlines())) == (2, "", 1)
+    assert "IndexError: index 5 is out of bounds (mesh, line" in result.stderr
+
+
 # Ctrl-C ---
 
 

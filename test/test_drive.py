@@ -28,9 +28,12 @@ SIGNED = [
 RATIOS_REFUSED = [
     (
         Kinematics(101.0),
-        "ratio 101 does not fit 200 and 202 teeth with the output at the flexspline: .* 100",
+        "ratio 101 does not fit 200 and 202 teeth with the output at the flexspline: .* 100; "
+        "output: circular_spline has this ratio",
     ),
-    (Kinematics(100.0, "circular_spline"), "output at the circular spline: its magnitude must be 101"),
+    (Kinematics(100.0, "circular_spline"), "its magnitude must be 101; output: flexspline has this ratio"),
+    (Kinematics(161.0, "circular_spline"), "must be 101; a gear of 320 and 322 teeth has this ratio"),
+    (Kinematics(0.5, of_teeth=False), "ratio must be finite and above 1, not 0.5"),
     (Kinematics(100.001), "ratio 100.001 does not fit"),
     (Kinematics(0.0), "ratio 0 does not fit"),
     (Kinematics(math.nan), "ratio nan does not fit"),

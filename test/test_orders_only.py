@@ -13,14 +13,14 @@ SIZE = 8.0 * ARCSEC
 COLUMNS_GIVEN = ("--columns", ",".join(f"{key}={name}" for key, name in COLUMNS.items()))
 
 
-def table(folder: Path, seed: int, order: float = 128.0) -> Path:
+def table(folder: Path, seed: int, order: float = 128.0, ratio: float = 100.0) -> Path:
     """A robot's move of 0.8 of an output turn, with an encoder's line and an offset of its own."""
     record = moves(5.0)
     rng = np.random.default_rng(seed)
     line = SIZE * np.cos(order * record.input_angle / 100.0 - 0.7) + 1e-3 * rng.uniform()
     noise = 2.0 * ARCSEC * rng.standard_normal(record.size)
     torsion = -7.0 * ARCSEC * record.torque
-    given = {"time": record.time, "input": record.input_angle, "torque": record.torque}
+    given = {"time": record.time, "input": ratio / 100.0 * record.input_angle, "torque": record.torque}
     output = record.input_angle / 100.0 + torsion + line + noise
     return write_table(folder / f"{seed}.csv", {**given, "output": output})
 
@@ -38,3 +38,22 @@ def test_a_line_of_the_output_encoder_is_described(tmp_path: Path) -> None:
     assert (told["judgement"], told["causes"], told["refit"]["parameters"]) == ("described", [], {})
     assert told["gain"]["low"] > 0.5
     assert "128 per output turn (8.0" in told["verdict"]
+
+
+@pytest.mark.parametrize("ratio", [160.0, 152.4])
+def test_a_ratio_without_its_teeth_is_enough(ratio: float, tmp_path: Path) -> None:
+    """Of another gear than the example's, or of one behind a belt; what needs teeth says which."""
+    config, result = tmp_path / "r.yaml", tmp_path / "o.json"
+    config.write_text(f"hd_diag:\n  ros__parameters:\n    joints: [a4]\n    a4: {{ratio: {ratio}}}\n")
+    bags = [table(tmp_path, seed, ratio=ratio) for seed in (1, 2)]
+    given = (*bags, *COLUMNS_GIVEN, "--config", config, "--json", result)
+    done = hd_diag("diagnose", *given, "--orders-only")
+    assert (done.exit_code, done.stderr) == (0, "")
+    (row,) = json.loads(result.read_text())["described"]
+    assert (row["order"], row["amplitude"]) == (128.0, pytest.approx(SIZE, rel=0.05))
+    told = hd_diag("ripple", *given).stderr
+    assert "ratio" not in told
+    teeth = (
+        "320 and 322 teeth has this ratio: hd-diag gear" if ratio == 160.0 else "its magnitude must be 100\n"
+    )
+    assert teeth in hd_diag("diagnose", *given).stderr

@@ -73,11 +73,26 @@ def test_the_ratio_of_the_other_output_over_a_part_of_a_turn(partner: float, rea
 @pytest.mark.parametrize(
     ("reach", "column", "changed", "said"),
     [
-        (2.0, "input", np.degrees, "input angle is in degrees"),
+        (2.0, "input", np.degrees, "input angle is in degrees: write input=COLUMN[deg]"),
         (2.0, "output", np.degrees, "output angle is in degrees"),
-        (20.0, "output", lambda angle: np.mod(np.degrees(angle), 360.0), "jumps by 360: it is in degrees"),
-        (2.0, "input", lambda angle: 2.0**17 / (2.0 * np.pi) * angle, "input angle is in counts of 17 bits"),
-        (2.0, "output", lambda angle: 2.0**19 / (2.0 * np.pi) * angle, "output angle is in counts of 19 bit"),
+        (
+            20.0,
+            "output",
+            lambda angle: np.mod(np.degrees(angle), 360.0),
+            "it is in degrees: write output=COLUMN[deg]",
+        ),
+        (
+            2.0,
+            "input",
+            lambda angle: 2.0**17 / (2.0 * np.pi) * angle,
+            "17 bits a turn: write input=COLUMN[counts/131072]",
+        ),
+        (
+            2.0,
+            "output",
+            lambda angle: 2.0**19 / (2.0 * np.pi) * angle,
+            "or unit: counts/524288 under the joint's output_",
+        ),
     ],
 )
 def test_other_units(reach: float, column: str, changed: Any, said: str) -> None:
@@ -90,7 +105,7 @@ def test_both_angles_in_degrees() -> None:
     """At the configured ratio, and moving so fast and between such torques that steps were seen before."""
     found = only(simulated(by=float(np.degrees(1.0))))
     assert (found.name, found.fatal) == ("unit", True)
-    assert "both angles are in degrees" in found.text
+    assert "both angles are in degrees: write input=COLUMN[deg],output=COLUMN[deg]" in found.text
     both = dict.fromkeys(("input", "output"), np.degrees)
     assert "both angles are in degrees" in only(moves(2.0, **both)).text
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -124,7 +125,7 @@ def report(records: Records, out: Path | None, json_file: str | None) -> int:
     return judge_each(records, judge, target, json_file)[1]
 
 
-@on_records
+@partial(on_records, teeth=False)
 def ripple(records: Records, json_file: str | None) -> int:
     """Do what ``hd-diag ripple`` is asked for."""
     from rich.table import Table

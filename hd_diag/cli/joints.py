@@ -13,11 +13,14 @@ if TYPE_CHECKING:
     from hd_diag.effects import Catalogue
 
 
-def configured(config_file: str | None, catalogue: Catalogue | None = None) -> Config:
-    """The configuration of a file, or the example drive's; its model files hold effects of the catalogue."""
+def configured(config_file: str | None, catalogue: Catalogue | None = None, teeth: bool = True) -> Config:
+    """The configuration of a file, or the example drive's; its model files hold effects of the catalogue.
+
+    Without `teeth` a ratio alone will do, of whatever gear.
+    """
     if not config_file:
-        return resolve({}, catalogue=catalogue)
-    config = load(config_file, catalogue)
+        return resolve({}, catalogue=catalogue, teeth=teeth)
+    config = load(config_file, catalogue, teeth)
     check_files(inputs=[Path(joint.model_file) for joint in config.joints if joint.model_file])
     return config
 

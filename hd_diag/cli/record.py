@@ -49,7 +49,7 @@ class Records:
         """Diagnosis of a joint; BagError and RecordError where there is nothing that can be judged."""
         advance(0.0, 1.0, "reading")
         # No name for the record: it goes as soon as it was looked through.
-        looked = screened(self._record(joint), joint.configured, teeth=not self.orders_only)
+        looked = screened(self._record(joint), joint.configured)
         rng = np.random.default_rng(0)
         if self.orders_only:
             return orders_only(looked, joint.configured, rng)
@@ -92,8 +92,11 @@ def table_of(columns: str, divided: bool, rate: float, delimiter: str) -> Table:
     return Table(names, divided, rate, {"tab": "\t"}.get(delimiter, delimiter))
 
 
-def on_records(function: Callable[..., int]) -> Callable[..., int]:
-    """A verb's function that gets the options that say which records as :class:`Records`."""
+def on_records(function: Callable[..., int], teeth: bool = True) -> Callable[..., int]:
+    """A verb's function that gets the options that say which records as :class:`Records`.
+
+    Without `teeth`, and for orders only, the configured ratio need not be that of the configured teeth.
+    """
 
     @functools.wraps(function)
     def run(
@@ -112,7 +115,7 @@ def on_records(function: Callable[..., int]) -> Callable[..., int]:
             if path.suffix.lower() in _TABLES:
                 raise Problem(f"{path}: a table needs --columns time=...,input=...,output=...")
         catalogue = load(effect_files)
-        config = configured(config_file, catalogue)
+        config = configured(config_file, catalogue, teeth and not own.get("orders_only"))
         joints = chosen_joints(config, names)
         table = None if columns is None else table_of(columns, divided, rate or 0.0, delimiter)
         return function(Records(bags, config, joints, table, catalogue, time_limit), **own)

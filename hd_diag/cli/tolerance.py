@@ -142,7 +142,9 @@ def _show_assemblies(found: Study) -> None:
 
 def _sensitivity_table(found: Study) -> Table:
     assert found.sensitivity is not None
-    first, total = found.sensitivity.first.value, found.sensitivity.total.value
+    # An index near zero is estimated to either side of it: no share is below none.
+    estimates = found.sensitivity.first.value, found.sensitivity.total.value
+    first, total = (np.maximum(each, 0.0) for each in estimates)
     title = "What matters at the configured tolerances: total (first) Sobol index [%]"
     table = number_table("spread of", *(criterion.brief for criterion in CRITERIA), title=title)
     for i in np.argsort(-np.nan_to_num(total).mean(axis=0), kind="stable"):

@@ -75,20 +75,24 @@ class Config(MonitorConfig):
 
 
 def resolve(
-    given: Mapping[str, Any], model_text: ModelText | None = None, catalogue: Catalogue | None = None
+    given: Mapping[str, Any],
+    model_text: ModelText | None = None,
+    catalogue: Catalogue | None = None,
+    teeth: bool = True,
 ) -> Config:
     """Configuration from flat parameters, the others filled in, everything checked.
 
     Parameters are given by their full ROS names, e.g. ``joint_1.eccentricity.magnitude``. Others come from a
     joint's catalogue page, go with its drive or have their defaults: :mod:`hd_diag.config.defaults`.
     `model_text` gives the texts of model files, by default from disk, relative to the present folder; they
-    may hold the effects of `catalogue`, by default the package's and installed ones.
+    may hold the effects of `catalogue`, by default the package's and installed ones. Without `teeth` a ratio
+    need not be that of the teeth, for what asks nothing of them.
 
     Raises ConfigError naming the first parameter that cannot be, its value and what was expected; for an
     unknown one, the nearest known.
     """
-    flat, kept, joints = _completed(given)
-    configured = tuple(_joint(name, flat, model_text, catalogue) for name in joints)
+    flat, kept, joints = _completed(given, teeth)
+    configured = tuple(_joint(name, flat, model_text, catalogue, teeth) for name in joints)
     _check_names(configured)
     array_rate, mesh_rate = flat["array_rate"], flat["mesh_rate"]
     _check_rates(configured, array_rate, mesh_rate)
@@ -98,18 +102,18 @@ def resolve(
 
 def recorded_signals(given: Mapping[str, Any]) -> dict[str, JointSignals]:
     """Signals of each joint of flat parameters; raises ConfigError as `resolve` does."""
-    flat, _, joints = _completed({**given, "joints": given.get("joints")})
+    flat, _, joints = _completed({**given, "joints": given.get("joints")}, True)
     return {name: signals_from(name, of_joint(flat, name)) for name in joints}
 
 
-def load(path: str | Path, catalogue: Catalogue | None = None) -> Config:
+def load(path: str | Path, catalogue: Catalogue | None = None, teeth: bool = True) -> Config:
     """Configuration from a ROS parameter file.
 
     Model files are looked for beside it, then in the present folder. Raises ConfigError naming the file and
     what is wrong with it. See :func:`resolve` and :func:`hd_diag.config.parameter_file.read`.
     """
     try:
-        return resolve(parameter_file.read(path), reader(Path(path).parent), catalogue)
+        return resolve(parameter_file.read(path), reader(Path(path).parent), catalogue, teeth)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from error
 
@@ -119,7 +123,7 @@ def dump(config: Config) -> str:
     return parameter_file.text(config.flat)
 
 
-def _completed(given: Mapping[str, Any]) -> tuple[dict[str, Value], dict[str, Value], list[str]]:
+def _completed(given: Mapping[str, Any], teeth: bool) -> tuple[dict[str, Value], dict[str, Value], list[str]]:
     """Every parameter, each checked alone; those that do not follow from others; and the joints."""
     given = spelled_out(given)
     joints = joint_names(given.get("joints", ["joint_1"]))
@@ -132,7 +136,7 @@ def _completed(given: Mapping[str, Any]) -> tuple[dict[str, Value], dict[str, Va
     for joint in joints:
         own = {p.name: found[full] for p in JOINT_PARAMETERS if (full := f"{joint}.{p.name}") in found}
         try:
-            every, beside = joint_values(own)
+            every, beside = joint_values(own, teeth)
         except ValueError as error:
             raise ConfigError(f"{joint}: {error}") from error
         flat |= {f"{joint}.{name}": copy(value) for name, value in every.items()}
@@ -141,7 +145,11 @@ def _completed(given: Mapping[str, Any]) -> tuple[dict[str, Value], dict[str, Va
 
 
 def _joint(
-    name: str, flat: Mapping[str, Value], model_text: ModelText | None, catalogue: Catalogue | None
+    name: str,
+    flat: Mapping[str, Value],
+    model_text: ModelText | None,
+    catalogue: Catalogue | None,
+    teeth: bool,
 ) -> JointConfig:
     own = of_joint(flat, name)
     limits = {key: Limit(own[f"limits.{key}.warn"], own[f"limits.{key}.error"]) for key in LIMITS}
@@ -150,7 +158,7 @@ def _joint(
             raise ConfigError(
                 f"{name}.limits.{key}: error ({limit.error:g}) must not be below warn ({limit.warn:g})"
             )
-    drive = drive_from(own)
+    drive = drive_from(own, teeth)
     model, text = _model(name, own, model_text, catalogue)
     return JointConfig(
         name,

@@ -23,8 +23,11 @@ _NAMES = {
 }
 
 
-def drive_from(own: Mapping[str, Any]) -> Drive:
-    """Drive from a joint's parameters by their names within it; raises ValueError naming what cannot be."""
+def drive_from(own: Mapping[str, Any], teeth: bool = True) -> Drive:
+    """Drive from a joint's parameters by their names within it; raises ValueError naming what cannot be.
+
+    Without `teeth` the ratio need not be theirs: only kinematics, rated torque and accuracy hold.
+    """
     values: dict[str, Any] = {
         name: _flank(own, name) for name in ("flexspline_tooth", "circular_spline_slot")
     }
@@ -32,7 +35,7 @@ def drive_from(own: Mapping[str, Any]) -> Drive:
     geometry = Geometry(**values, **{name: own[_NAMES.get(name, name)] for name in names})
     eccentricity, runout = (_polar(own, name) for name in ("eccentricity", "runout"))
     mesh = Mesh(geometry, own["tooth_compliance"], eccentricity, runout, own["arc_offset"])
-    kinematics = Kinematics(own["ratio"], own["output"], own["wave_generator_phase"])
+    kinematics = Kinematics(own["ratio"], own["output"], own["wave_generator_phase"], teeth)
     beside = ("rated_torque", "cup_compliance", "accuracy")
     return Drive(mesh, kinematics, *(own[name] for name in beside if name in own))
 

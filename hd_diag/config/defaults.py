@@ -56,15 +56,16 @@ class Page(NamedTuple):
         return self.k1, self.k2, self.k3
 
 
-def joint_values(given: Mapping[str, Value]) -> tuple[dict[str, Value], dict[str, Value]]:
+def joint_values(given: Mapping[str, Value], teeth: bool = True) -> tuple[dict[str, Value], dict[str, Value]]:
     """All parameters of a joint from those given, by their names within it; and those that were given.
 
     Where a page is given, what is no other than without it follows the page and is not counted as given: a
-    file that was written from a page may hold all. Raises ValueError naming what cannot be.
+    file that was written from a page may hold all. `teeth` as `drive_from` has it. Raises ValueError naming
+    what cannot be.
     """
     page = page_of(given)
     values = {**DEFAULTS, **(resolved(page) if page else {})}
-    values |= scaled(drive_from({**values, **given}))
+    values |= scaled(drive_from({**values, **given}, teeth))
     for name in LIMITS:  # where an error alone is given, its warning is not above it
         warn, error = f"limits.{name}.warn", f"limits.{name}.error"
         values[warn] = min(values[warn], {**values, **given}[error])

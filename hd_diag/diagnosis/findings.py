@@ -86,15 +86,22 @@ def wrong_ratio(found: float, configured: float) -> Finding:
 def _unit_of(found: float, configured: float) -> str:
     """What a ratio that is off by a known factor tells of the units; empty for other ratios."""
     factor = abs(found / configured)
-    for value, what in ((_DEGREES, "the input angle is in degrees"), (1.0 / _DEGREES, "the output angle is")):
+    for value, name in ((_DEGREES, "input"), (1.0 / _DEGREES, "output")):
         if abs(factor / value - 1.0) < 0.02:
-            return what if value > 1.0 else f"{what} in degrees"
+            return f"the {name} angle is in degrees: {declared(name, 'deg')}"
     for bits in _BITS:
         counts = 2.0**bits / (2.0 * math.pi)
         for value, name in ((counts, "input"), (1.0 / counts, "output")):
             if abs(factor / value - 1.0) < 0.01:
-                return f"the {name} angle is in counts of {bits} bits a turn"
+                unit = declared(name, f"counts/{2**bits}")
+                return f"the {name} angle is in counts of {bits} bits a turn: {unit}"
     return ""
+
+
+def declared(role: str, unit: str) -> str:
+    """What to write where a signal is in another unit than SI, for a column of a table and for a topic."""
+    owner = "input" if role == "input" else f"{role}_signal"
+    return f"write {role}=COLUMN[{unit}] in --columns, or unit: {unit} under the joint's {owner}"
 
 
 def _usual_slope(record: Record) -> float:

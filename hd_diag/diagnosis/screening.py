@@ -12,7 +12,15 @@ from scipy.signal import correlate
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.drift import check_velocity
-from hd_diag.diagnosis.findings import Finding, check_ramp, check_ratio, find_steps, follows, wrong_ratio
+from hd_diag.diagnosis.findings import (
+    Finding,
+    check_ramp,
+    check_ratio,
+    declared,
+    find_steps,
+    follows,
+    wrong_ratio,
+)
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.design import lower_bound, projection
 from hd_diag.diagnosis.fit.refit import nuisance, refit
@@ -54,12 +62,13 @@ class Screened(NamedTuple):
     findings: tuple[Finding, ...]
 
 
-def screened(record: Record, configured: Drive, limit: int = LIMIT, *, teeth: bool = True) -> Screened:
+def screened(record: Record, configured: Drive, limit: int = LIMIT) -> Screened:
     """Check sensors, units, signs, ratio and steps in every row of a record; then keep `limit` rows at most.
 
-    Without `teeth` the configured geometry is not that of the gear: its torsion is not compared.
+    Where the ratio need not be that of the configured teeth, these are not the gear's: its torsion is not
+    compared.
     """
-    ratio = configured.kinematics.ratio
+    ratio, teeth = configured.kinematics.ratio, configured.kinematics.of_teeth
     wrong = _one_sensor(record, ratio) or _wrapped_degrees(record)
     wrong = wrong or check_velocity(record, configured.kinematics) or _out_of_step(record, ratio)
     if not record.by_velocity:  # whose slow part is free
@@ -71,7 +80,9 @@ def screened(record: Record, configured: Drive, limit: int = LIMIT, *, teeth: bo
     if wrong is not None:
         return Screened(subsample(record, limit), (wrong, *stamps))
     record, again = _without_repeated_rows(record)
-    correction, steps = find_steps(record, ratio, configured.mesh.geometry.tooth_pitch)
+    # With two more teeth on the circular spline, as nearly all gears have, where nobody knows.
+    pitch = configured.mesh.geometry.tooth_pitch if teeth else math.pi / abs(ratio)
+    correction, steps = find_steps(record, ratio, pitch)
     if steps:
         record = replace(record, output_angle=record.output_angle - correction)
     del correction  # a column of an hour is 30 MB
@@ -101,7 +112,7 @@ def _wrapped_degrees(record: Record) -> Finding | None:
     for name, angle in (("input", record.input_angle), ("output", record.output_angle)):
         step = np.abs(np.diff(angle)) / _FULL_TURN
         if np.any(np.abs(step - 1.0) < 0.02) and float(np.median(step)) < 0.1:
-            text = f"the {name} angle jumps by 360: it is in degrees; angles must be in radians"
+            text = f"the {name} angle jumps by 360: it is in degrees: {declared(name, 'deg')}"
             return Finding("unit", text, _FULL_TURN, "-", True)
     return None
 
@@ -111,14 +122,18 @@ def _other_units(record: Record, configured: Drive) -> Finding | None:
     most = float(np.percentile(np.abs(record.torque), 99.0))
     if record.has_torque and most > _MOST_TORQUE * configured.rated_torque:
         share = most / configured.rated_torque
-        text = f"the torque reaches {most:.3g} N m, {share:.0f} times the rated torque: in which unit is it?"
+        text = (
+            f"the torque reaches {most:.3g} N m, {share:.0f} times the rated torque: in which unit is it? "
+            f"Of N mm: {declared('torque', 'N mm')}"
+        )
         return Finding("unit", text, share, "-", True)
     error = record.output_angle - record.input_angle / configured.kinematics.ratio
     if _twisting(record, configured) and float(np.ptp(centered(error, record.bag))) > _LEAST_IN_DEGREES:
         factor, spread = _twist(record, configured)
         if abs(factor / _DEGREES - 1.0) < _DEGREES_MISS and factor > _SIGMAS * spread:
             text = f"the joint twists {factor:.0f} times as much as configured: both angles are in degrees"
-            return Finding("unit", f"{text}; angles must be in radians", factor, "-", True)
+            both = "write input=COLUMN[deg],output=COLUMN[deg] in --columns, or unit: deg under input and"
+            return Finding("unit", f"{text}: {both} output_signal", factor, "-", True)
     return None
 
 
@@ -246,8 +261,9 @@ def _wrong_torque(record: Record, configured: Drive) -> Finding | None:
         return Finding(_TORQUE_SIGN, text, factor, "-", False)
     if factor - _SIGMAS * spread > _OTHER_UNIT:
         text = (
-            f"the joint twists {factor:.0f} times as much as configured: is the torque in amperes or at the "
-            "motor, or is this another gear?"
+            f"the joint twists {factor:.0f} times as much as configured: is the torque in amperes "
+            "(torque=COLUMN[A]*K, or unit: A and scale: K, with K N m per A at the link) or at the motor, or "
+            "is this another gear?"
         )
         return Finding("torque_unit", text, factor, "-", False)
     return None

@@ -67,11 +67,14 @@ class Kinematics:
         Which member drives the link; the other is fixed.
     phase : float
         Angle of the wave generator's long axis at input angle zero [rad].
+    of_teeth : bool
+        Whether the ratio is that of the mesh's teeth; else that of a gear whose teeth nobody knows.
     """
 
     ratio: float
     output: Output = "flexspline"
     phase: float = 0.0
+    of_teeth: bool = True
 
     def check(self, geometry: Geometry) -> None:
         """Refuse a ratio that the teeth cannot give.
@@ -79,19 +82,39 @@ class Kinematics:
         Raises
         ------
         ValueError
-            If |ratio| is not Z_R / (Z_G - Z_R) (output at the flexspline) or Z_G / (Z_G - Z_R).
+            If |ratio| is not Z_R / (Z_G - Z_R) (output at the flexspline) or Z_G / (Z_G - Z_R), where it
+            has to be; it says which output or which teeth would have the ratio.
         """
         if self.output not in ("flexspline", "circular_spline"):
             raise ValueError(f"output must be 'flexspline' or 'circular_spline', not {self.output!r}")
         if not math.isfinite(self.phase):
             raise ValueError(f"wave_generator_phase must be finite, not {self.phase} rad")
-        expected = geometry.reduction + (1.0 if self.output == "circular_spline" else 0.0)
-        if not abs(abs(self.ratio) - expected) <= _RATIO_TOLERANCE * expected:
+        if not self.of_teeth:
+            if not 1.0 < abs(self.ratio) < math.inf:
+                raise ValueError(f"ratio must be finite and above 1, not {self.ratio:g}")
+            return
+        expected = {"flexspline": geometry.reduction, "circular_spline": geometry.reduction + 1.0}
+        if not self._is(expected[self.output]):
+            other = next((output for output, ratio in expected.items() if self._is(ratio)), "")
+            advice = f"; output: {other} has this ratio" if other else self._teeth()
             raise ValueError(
                 f"ratio {self.ratio:g} does not fit {geometry.flexspline_teeth} and "
                 f"{geometry.circular_spline_teeth} teeth with the output at the "
-                f"{self.output.replace('_', ' ')}: its magnitude must be {expected:g}"
+                f"{self.output.replace('_', ' ')}: its magnitude must be {expected[self.output]:g}{advice}"
             )
+
+    def _is(self, expected: float) -> bool:
+        return abs(abs(self.ratio) - expected) <= _RATIO_TOLERANCE * expected
+
+    def _teeth(self) -> str:
+        """Which teeth have the ratio, for an error; empty where two more on the circular spline cannot."""
+        flexspline = 2.0 * abs(self.ratio) - (2.0 if self.output == "circular_spline" else 0.0)
+        if not (math.isfinite(flexspline) and flexspline >= 2.0 and flexspline % 1.0 == 0.0):
+            return ""
+        return (
+            f"; a gear of {flexspline:.0f} and {flexspline + 2.0:.0f} teeth has this ratio: hd-diag gear "
+            "makes its parameters from a catalogue page"
+        )
 
     def frame(self, geometry: Geometry, cup_compliance: float = 0.0) -> Frame:
         """The same as numbers, for the teeth of a geometry and a torsion of the cup [rad/(N m)]."""

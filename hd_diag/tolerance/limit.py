@@ -36,6 +36,11 @@ _TURN_DIRECTIONS, _TURN_PHASES = 4, 6  # within a slot pitch: of the eccentricit
 _HILLS = 8  # local maxima that are climbed
 _ROUNDS, _CLOSER, _BESIDE = 6, 3, 3  # of a climb: so many grids, each so much finer, points to either side
 
+# A mesh without runout has images of each of its moments: mirrored, and with the lobes swapped. Values this
+# near to the greatest [-], more than a climb misses, are such images: the first of them is taken, else
+# rounding would choose, another one on another machine.
+_IMAGE = 1e-4
+
 RESOLUTION = tuple(
     extent / points / _CLOSER**_ROUNDS for extent, points in zip((2.0 * math.pi, 1.0), _SEARCH, strict=True)
 )
@@ -202,7 +207,8 @@ class _Search:
         if NAMES[self.index] == "transmission_error":
             directions = self.pitch * np.arange(_TURN_DIRECTIONS) / _TURN_DIRECTIONS
             widths = (self._width(eccentricity, float(direction)) for direction in directions)
-            return max(widths, key=lambda worst: worst.value)
+            found = list(widths)
+            return found[_first(np.array([worst.value for worst in found]))]
 
         def value(points: Floats) -> Floats:
             return np.asarray(self._moments(eccentricity, points)[self.index])
@@ -259,7 +265,8 @@ def _hills(values: Floats) -> Integers:
 def _climbed(function: Callable[[Floats], Floats], centers: Floats, step: Floats) -> tuple[Floats, float]:
     """Place (d,) of the greatest value near some places (m, d), and the value, by grids that narrow.
 
-    The function takes points (n, d) and gives values (n,); the first grids have so many steps (d,).
+    The function takes points (n, d) and gives values (n,); the first grids have so many steps (d,). Of
+    images of one place it is the one with the least angle, the first coordinate, within a turn.
     """
     dimensions = centers.shape[1]
     side = np.linspace(-1.0, 1.0, 2 * _BESIDE + 1)
@@ -270,5 +277,13 @@ def _climbed(function: Callable[[Floats], Floats], centers: Floats, step: Floats
         best = np.argmax(values, axis=1)
         centers = points[np.arange(best.size), best]
         step = step / _CLOSER
-    top = int(np.argmax(values.max(axis=1)))
-    return centers[top], float(values[top].max())
+    order = np.argsort(np.mod(centers[:, 0], 2.0 * math.pi), kind="stable")
+    highest = values.max(axis=1)
+    top = order[_first(highest[order])]
+    return centers[top], float(highest.max())
+
+
+def _first(values: Floats) -> int:
+    """Number of the first of the values that are as great as the greatest, but for :data:`_IMAGE`."""
+    highest = values.max()
+    return int(np.argmax(values >= highest - _IMAGE * abs(highest)))

@@ -10,6 +10,7 @@ import difflib
 import errno
 import os
 import sys
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -69,14 +70,19 @@ def _checked_output() -> Iterator[None]:
 
 
 def _outcome(error: Exception) -> tuple[int, str]:
-    """Exit code and line for an error that ended a verb; raises any that is not expected."""
+    """Exit code and line for an error that ended a verb; 1 is left to findings, whatever goes wrong."""
     if code := signalled(error):
         return code, "interrupted"
     if isinstance(error, click.ClickException):
         return error.exit_code, " ".join(error.format_message().split())
     if isinstance(error, ModuleNotFoundError) and error.name and not error.name.startswith("hd_diag"):
         return 2, f"{error}: python3 -m pip install {error.name}"  # numba, which rosdep cannot install
-    raise error
+    if isinstance(error, MemoryError):
+        return 2, "there is not enough memory"
+    frames = traceback.extract_tb(error.__traceback__)
+    place = next(f for f in reversed(frames) if "hd_diag" in f.filename)
+    text = f"{type(error).__name__}: {error}".rstrip(": ").partition("\n")[0]
+    return 2, f"an error of hd-diag itself, please report it: {text} ({place.name}, line {place.lineno})"
 
 
 @click.group(
