@@ -90,6 +90,8 @@ TARGETS = (
     Aim("robot: records with a false name [%]", ROBOT, _false, 0.0, 2.0),
     Aim("bench, one mechanism: right up to class [%]", ("bench_single",), _right, 95.0, 100.0),
     Aim("bench, two mechanisms: right up to class [%]", ("bench_pair",), _right, 85.0, 100.0),
+    Aim("joint as its page: records with a false name [%]", ("page_none",), _false, 0.0, 1.0),
+    Aim("joint as its page, one fault: right up to class [%]", ("page_single",), _right, 95.0, 100.0),
     Aim(
         "residual above 1.3 times the noise, and nothing said [%]",
         tuple(FAMILIES),

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from challenge import drive_causes as drive
-from challenge import families, faults, findability, motion, noise, records, truth
+from challenge import families, faults, findability, motion, moves, noise, page, records, truth
 from challenge import mesh_causes as mesh
 from challenge import sensor_causes as sensor
 from challenge.cause import Cause
@@ -287,3 +287,65 @@ def test_bag_holds_the_record(tmp_path: Path) -> None:
     stamps = [m.header.stamp.sec - records.EPOCH + 1e-9 * m.header.stamp.nanosec for m in states]
     assert_allclose(stamps, short_record.time, atol=1e-9)
     assert len([topic for topic, *_ in read if topic == "/joint_1/temperature"]) == 4
+
+
+# Joints drawn from a catalogue page ---
+
+
+def loaded(torque: np.ndarray, design: page.Page = page.PAGES[0]) -> records.Scene:
+    zero, time = np.zeros_like(torque), np.arange(torque.size) / 500.0
+    return records.Scene(time, zero, zero, torque, zero, zero.astype(int), design)  # type: ignore[arg-type]
+
+
+def test_a_page_joint_lags_by_the_torsion_of_its_page() -> None:
+    row = page.PAGES[0]
+    t1, t2, t3 = row.t1, row.t2, 2 * row.t2
+    found = records.output(page.PageJoint(design=row), (), loaded(np.array([0.0, t1, -t1, t2, t3]), row))
+    at_t2 = t1 / row.k1 + (t2 - t1) / row.k2
+    assert_allclose(found, [0, -t1 / row.k1, t1 / row.k1, -at_t2, -at_t2 - t2 / row.k3], rtol=1e-12)
+
+
+def test_a_loop_of_relays_closes_holds_back_and_knows_no_rate() -> None:
+    torque = 5.0 * np.sin(np.linspace(0, 6 * np.pi, 3001))
+    loop = page.Loop(1e-5, 1.0)
+    found = loop.added(loaded(torque))
+    assert_allclose(found[1000:2000], found[2000:3000], atol=1e-8)
+    rising = np.gradient(torque) > 0
+    assert found[rising & (np.abs(torque) < 1)][50:].min() > 0.5e-5
+    assert found[~rising & (np.abs(torque) < 1)].max() < -0.5e-5
+    assert np.abs(found).max() == pytest.approx(1e-5)
+    assert_allclose(loop.added(loaded(torque[::4])), found[::4], atol=5e-7)
+
+
+@pytest.mark.parametrize("law", ["reciprocal", "exponential", "straight"])
+def test_a_usual_wave_falls_with_the_load(law: str) -> None:
+    wave = page.Wave(1e-5, 2, 0.0, law, 10.0)
+    found = wave.added(loaded(np.array([0.0, 5.0, -10.0, 20.0])))
+    assert found[0] == 1e-5
+    assert np.all(np.diff(found) < 0)
+    assert found[-1] > 0
+
+
+@pytest.mark.parametrize("make", [moves.there, moves.there_and_back])
+def test_journeys_are_driven_as_said(make: object) -> None:
+    for seed in range(5):
+        m = make(np.random.default_rng(seed), page.PAGES[seed])  # type: ignore[operator]
+        time = np.arange(0, m.duration, 1e-3)
+        angle, speed = m.angle(time) / m.design.ratio, m.speed(time) / m.design.ratio
+        assert_allclose(np.gradient(angle, time), speed, atol=0.01)
+        assert 0.14 < np.ptp(angle) / (2 * np.pi) < 0.96
+        assert (speed.min() < -0.01) == (make is moves.there_and_back)
+        assert np.abs(m.torque(time)).max() < m.design.rated
+
+
+def test_every_page_record_has_what_is_usual_and_at_most_one_fault() -> None:
+    for seed, name in enumerate(faults.PAGE):
+        made = families.made("page_single", seed)
+        assert made.truth["hidden"] + made.truth["unknown"] == [name]
+        assert {*faults.PAGE_USUAL, "hysteresis", "output_runout"} <= {*made.truth["optional"]}
+    made = families.made("page_none", 1)
+    assert (made.truth["hidden"], made.truth["unknown"]) == ([], [])
+    assert made.base.design.ratio == 100
+    own = records.added_by(made, "usual_loop")
+    assert 0.2 * ARCSEC < own.std() < 5 * ARCSEC
+    assert np.ptp(own) == pytest.approx(2 * made.truth["effects"]["usual_loop"]["half_width"])

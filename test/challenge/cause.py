@@ -39,12 +39,14 @@ class Scene:
 class Cause:
     """A fault by its name in a catalogue; what it does not override stays as it is.
 
-    It is as large as its first field says, or those that ``sizes`` names.
+    It is as large as its first field says, or those that ``sizes`` names. ``may_be``: names of a catalogue by
+    which it may be called, though none of them is wanted.
     """
 
     name: ClassVar[str] = ""
     sizes: ClassVar[tuple[str, ...]] = ()
     known: ClassVar[bool] = True
+    may_be: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls, name: str = "", sizes: tuple[str, ...] = (), known: bool = True) -> None:
         cls.name, cls.sizes, cls.known = name or cls.name, sizes, known

@@ -21,8 +21,9 @@ from challenge.design import OTHERS, SIZE_25, Design
 from challenge.faults import Draw, Fault
 from challenge.faults import draw as draw
 from challenge.motion import Motion
-from challenge.moves import point_to_point
+from challenge.moves import point_to_point, there, there_and_back
 from challenge.noise import FAMILIES as NOISES
+from challenge.page import PAGES, Page, page_joint
 from challenge.records import PLAIN, Record, Recording, simulate
 from challenge.truth import Base, drawn, faultless
 
@@ -108,6 +109,19 @@ def of_a_motor(rng: Draw, seed: int) -> Recording:
     return dataclasses.replace(of_a_robot(rng, seed), torque_constant=rng.uniform(4, 15))
 
 
+def of_any_arm(rng: Draw, _seed: int) -> Recording:
+    """Encoders of 12 to 20 bits at 100 to 1000 Hz, quiet or noisy."""
+    return Recording(
+        noise=str(rng.choice(list(NOISES))),
+        noise_scale=rng.uniform(0.2, 1.0),
+        torque_noise=rng.uniform(5e-4, 4e-3),  # of the rated torque
+        input_bits=int(rng.integers(12, 21)),
+        output_bits=int(rng.integers(17, 21)),
+        jitter=float(rng.choice([0.0, 0.1e-3])),
+        rate=float(rng.choice([100.0, 250.0, 500.0, 1000.0])),
+    )
+
+
 def of_any_quality(rng: Draw, seed: int) -> Recording:
     """The same, with torque noise of up to 1 N m."""
     return dataclasses.replace(of_a_robot(rng, seed), torque_noise=rng.uniform(0, 1), parts=1)
@@ -131,6 +145,16 @@ def moves(rng: Draw, design: Design) -> Motion:
     return point_to_point(rng, design=design)
 
 
+def journeys(rng: Draw, page: Page) -> Motion:
+    """What an arm does while someone records: point to point, one way, there and back; 1 s to two minutes."""
+    kind = rng.integers(4)
+    if kind == 0:
+        return there(rng, page)
+    if kind == 1:
+        return there_and_back(rng, page)
+    return point_to_point(rng, float(np.exp(rng.uniform(np.log(8), np.log(120)))), page)
+
+
 def _of_any_length(rng: Draw, _design: Design) -> Motion:
     duration = float(np.exp(rng.uniform(np.log(2), np.log(120))))
     if rng.random() < 0.5:
@@ -149,7 +173,8 @@ class Family:
     """A row: what a record is drawn from.
 
     ``excused``: causes that the motion was said not to show need no name; ``findable``: causes are
-    enlarged to three times what can be found in the record itself, or replaced.
+    enlarged to three times what can be found in the record itself, or replaced; ``usual``: what every such
+    joint has, and needs no name.
     """
 
     names: Names = none
@@ -160,6 +185,7 @@ class Family:
     designs: tuple[Design, ...] = (SIZE_25,)
     excused: bool = False
     findable: bool = False
+    usual: tuple[str, ...] = ()
 
 
 def _poor(motion: Callable[[Draw], Motion], names: Sequence[str], recording: Recording = PLAIN) -> Family:
@@ -186,6 +212,17 @@ _ROBOT = functools.partial(_BENCH, motion=moves, recording=of_a_robot)
 _OF_TORQUE_SENSOR = ("torque_offset", "torque_sensor_ripple")  # a current passes none
 _BY_CURRENT = {name: fault for name, fault in faults.MECHANISMS.items() if name not in _OF_TORQUE_SENSOR}
 
+_PAGE = functools.partial(
+    Family,
+    motion=journeys,
+    recording=of_any_arm,
+    faults=faults.PAGE | faults.PAGE_USUAL,
+    base=page_joint,
+    designs=PAGES,
+    usual=tuple(faults.PAGE_USUAL),
+    excused=True,
+)
+
 FAMILIES: dict[str, Family] = {
     "wrong_parameters": Family(recording=noises_by_turns),
     "one_effect": Family(by_turns(faults.NAMED)),
@@ -203,6 +240,8 @@ FAMILIES: dict[str, Family] = {
     "robot_lines": _ROBOT(by_turns(list(faults.UNNAMED)), faults=faults.UNNAMED),
     "bench_single": _BENCH(by_turns(list(faults.MECHANISMS))),
     "bench_pair": _BENCH(several(2, list(faults.MECHANISMS))),
+    "page_none": _PAGE(),
+    "page_single": _PAGE(by_turns(list(faults.PAGE))),
 }
 
 
@@ -210,17 +249,19 @@ def made(family: str, seed: int) -> Record:
     """The record of a family and seed."""
     row, rng = FAMILIES[family], generator(family, seed)
     design = row.designs[seed % len(row.designs)]
-    names = row.names(rng, seed)
+    names = [*row.names(rng, seed), *row.usual]
     motion = row.motion(rng, design)
     found = [faults.sized(rng, row.faults[name], motion) for name in names]
     base = row.base(rng, design)
     recording = row.recording(rng, seed)
+    if isinstance(design, Page):
+        recording = dataclasses.replace(recording, torque_noise=recording.torque_noise * design.rated)
     if row.findable:
         found = _enlarged(rng, row.faults, found, base, motion, recording)
     causes = [cause for cause, _ in found]
     if recording.torque_constant:
         causes.append(faults.motor_current(rng, recording.torque_constant, design))
-    return simulate(base, causes, motion, rng, recording, faults.NEED_NO_NAME)
+    return simulate(base, causes, motion, rng, recording, (*faults.NEED_NO_NAME, *row.usual))
 
 
 def _enlarged(

@@ -10,6 +10,7 @@ import numpy as np
 
 from challenge import drive_causes as drive
 from challenge import mesh_causes as mesh
+from challenge import page
 from challenge import sensor_causes as sensor
 from challenge.cause import Cause
 from challenge.design import Design
@@ -290,3 +291,48 @@ def sized(rng: Draw, fault: Fault, motion: Motion) -> tuple[Cause, float]:
     # Evenly in the logarithm: sizes of the field are small more often than large.
     amplitude = float(np.exp(rng.uniform(np.log(low), np.log(high))))
     return fault.build(rng, amplitude, motion), high / amplitude
+
+
+# Of a joint that is its page and has no teeth ---
+
+
+def _wave(kind: type[page.Wave]) -> Build:
+    def build(rng: Draw, a: float, m: Motion) -> Cause:
+        law = str(rng.choice(["reciprocal", "exponential", "straight"]))
+        order = int(rng.choice([1, 2, 2, 2, 4])) if kind is page.Wave else 2
+        return kind(a * ARCSEC, order, _phase(rng), law, m.design.rated * rng.uniform(0.2, 0.8))
+
+    return build
+
+
+def _loop(kind: type[page.Loop]) -> Build:
+    return lambda rng, a, m: kind(a * ARCSEC, m.design.rated * rng.uniform(0.05, 0.3))
+
+
+def _page_loop(rng: Draw, a: float, m: Motion) -> Cause:
+    if rng.random() < 0.5:
+        return page.LargeLoop(a * ARCSEC, m.design.rated * rng.uniform(0.05, 0.3))
+    return drive.SmoothHysteresis(a * ARCSEC, m.design.rated * rng.uniform(0.05, 0.3), 1.0)
+
+
+PAGE_USUAL: dict[str, Fault] = {
+    "usual_wave": Fault(_wave(page.Wave), 0.5, 2, "arcsec"),
+    "usual_loop": Fault(_loop(page.Loop), 2, 5, "arcsec"),
+    "usual_output_wave": Fault(
+        lambda r, a, m: page.OutputWave(a * ARCSEC, int(r.integers(1, 4)), _phase(r)), 0.3, 3, "arcsec"
+    ),
+    "usual_drift": Fault(
+        lambda r, a, m: page.SlowDrift(a * ARCSEC, int(r.integers(1 << 31))), 0.2, 2, "arcsec"
+    ),
+}
+# Two to ten times what a new gear has.
+PAGE: dict[str, Fault] = {
+    "hysteresis": Fault(_page_loop, 20, 40, "arcsec"),
+    "input_wave": Fault(_wave(page.LargeWave), 15, 30, "arcsec"),
+    "output_runout": Fault(lambda r, a, m: page.LargeOutputWave(a * ARCSEC, 1, _phase(r)), 25, 50, "arcsec"),
+    "coulomb_windup": Fault(
+        lambda r, a, m: drive.DryFriction(a * m.design.rated, r.uniform(0, 0.6), 0.03, 5e-4), 0.04, 0.08, "-"
+    ),
+    "input_encoder_eccentricity": Fault(_input_disc, 10, 30, "arcsec"),
+    "stream_delay": Fault(lambda r, a, m: sensor.StreamDelay(a * 1e-3), 1, 2.5, "ms"),
+}

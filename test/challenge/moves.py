@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -147,3 +148,30 @@ def _bearable(moves: Moves) -> Moves:
     a = moves.arm
     arm = Arm(a.gravity * factor, a.share, a.upright, a.inertia * factor, a.payload * factor)
     return dataclasses.replace(moves, arm=arm)
+
+
+def there(rng: np.random.Generator, design: Design) -> Moves:
+    """One to six moves one way, a part of an output turn, in 1 s to a minute; as after an error of homing."""
+    return _between(rng, design, [1.0] * int(rng.integers(1, 7)))
+
+
+def there_and_back(rng: np.random.Generator, design: Design) -> Moves:
+    """Two to eight moves over the same part of an output turn, there and back, each at a speed of its own."""
+    return _between(rng, design, [1.0, -1.0] * int(rng.integers(1, 5)))
+
+
+def _between(rng: np.random.Generator, design: Design, ways: Sequence[float]) -> Moves:
+    whole = 2 * np.pi * rng.uniform(0.15, 0.95)
+    way = whole / max(np.ptp(np.r_[0.0, np.cumsum(ways)]), 1.0)
+    start = rng.uniform(-np.pi, np.pi)
+    poses = start + way * np.r_[0.0, np.cumsum(ways)]
+    profile = str(rng.choice(list(PROFILES)))
+    _, peak, steepest = PROFILES[profile]
+    now, begin, length = 0.3, [], []
+    for _ in ways:
+        speed = np.exp(rng.uniform(np.log(SLOWEST), np.log(FASTEST)))
+        begin.append(now)
+        length.append(float(max(min(peak * way / speed, LONGEST), np.sqrt(steepest * way / STEEPEST))))
+        now += length[-1] + rng.uniform(0.2, 0.8)
+    arm = _arm(rng, start + 0.5 * whole, design.strength)
+    return _bearable(Moves(tuple(begin), tuple(length), tuple(poses), profile, arm, now, design))

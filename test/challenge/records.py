@@ -20,6 +20,7 @@ from challenge.contact import Flaws, Gear
 from challenge.design import Array
 from challenge.motion import Motion
 from challenge.noise import TORQUE_NOISE
+from challenge.page import PageJoint, Spring
 from challenge.truth import Base
 
 JOINT = "joint_1"
@@ -109,15 +110,17 @@ def borne(causes: Sequence[Cause], seen: Scene) -> Scene:
     return dataclasses.replace(seen, torque=torque)
 
 
-def gear(base: Base, causes: Sequence[Cause]) -> Gear:
-    """Clearances of a drive with the flaws of all causes."""
+def gear(base: Base, causes: Sequence[Cause]) -> Gear | Spring:
+    """Clearances of a drive with the flaws of all causes; the spring of a joint that is a page."""
+    if isinstance(base, PageJoint):
+        return Spring(base.design)
     flaws = Flaws()
     for each in (cause.flaws(base.design) for cause in causes):
         flaws = flaws if each is None else flaws + each
     return Gear(base, flaws)
 
 
-def mean_torsion(mesh: Gear, cup_torque: Array) -> Array:
+def mean_torsion(mesh: Gear | Spring, cup_torque: Array) -> Array:
     """Torsion (n,) [rad] at cup torques (n,) [N m], the mean over a turn of the wave generator."""
     levels = np.r_[-np.geomspace(200, 0.01, 60), np.geomspace(0.01, 200, 60)]
     angles = np.linspace(0, 2 * np.pi, 101, endpoint=False)
@@ -127,7 +130,9 @@ def mean_torsion(mesh: Gear, cup_torque: Array) -> Array:
 
 
 @functools.lru_cache(maxsize=4)
-def _torsion(base: Base, flawed: tuple[Cause, ...], shaft: bytes, torque: bytes) -> tuple[Gear, Array]:
+def _torsion(
+    base: Base, flawed: tuple[Cause, ...], shaft: bytes, torque: bytes
+) -> tuple[Gear | Spring, Array]:
     """Mesh and its torsion (n,) [rad]; kept, for what a cause adds is the difference of two drives."""
     mesh = gear(base, flawed)
     return mesh, mesh.torsion(-np.frombuffer(shaft), -np.frombuffer(torque))
@@ -220,7 +225,8 @@ def simulate(
         "effects": {cause.name: cause.as_dict() for cause in causes},
         "hidden": [cause.name for cause in causes if cause.known and cause.name not in optional],
         "optional": [cause.name for cause in causes if cause.name in optional]
-        + ["torque_gain"] * bool(recording.torque_constant),
+        + ["torque_gain"] * bool(recording.torque_constant)
+        + sorted({name for cause in causes for name in cause.may_be}),
         "unknown": [cause.name for cause in causes if not cause.known],
         "noise_rms": float((reported - clean - wild).std()),
         "recording": vars(recording),
