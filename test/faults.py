@@ -176,7 +176,11 @@ FILES: dict[str, tuple[Callable[[bytes], bytes], dict[str, Told]]] = {
         lambda whole: random.Random(1).randbytes(5000),
         dict.fromkeys(VERBS, (2, "is not an MCAP file")),
     ),
-    "text": (lambda whole: b"time,input\n1,2\n", dict.fromkeys(VERBS, (2, "is not an MCAP file"))),
+    "text": (lambda whole: b"time,input\n1,2\n", dict.fromkeys(VERBS, (2, "is not an MCAP file but text"))),
+    "a bag of ROS 1": (
+        lambda whole: b"#ROSBAG V2.0\n" + bytes(4096),
+        dict.fromkeys(VERBS, (2, "is a ROS 1 bag: `rosbags-convert")),
+    ),
 }
 
 # Messages: the node and a replay reject the sample, count it and go on ---
@@ -304,6 +308,10 @@ bytes behind a message's last field | verbs on bags | read; nothing is refused
     test_recording.py::test_a_bag_of_what_rclpy_serializes
 a torque far off its neighbours | verbs on bags | taken out, counted among the outliers
     test_record.py::test_a_torque_far_off_is_taken_out
+a topic in JSON, protobuf, ROS 1's encoding, or of no schema | bags | listed, not read; recover copies it
+    test_bag_foreign.py::test_what_cannot_be_read_is_listed_and_left_alone
+messages that rosbag2 compressed one by one, without metadata | bags | read
+    test_bag_foreign.py::test_compressed_messages_need_no_metadata
 a count of the file's own that is far too large | verbs on bags | told; takes no memory
     test_incomplete.py::test_a_count_is_but_a_hint
 a bit of the summary flipped | verbs on bags | told; the chunks are read

@@ -13,16 +13,29 @@ from hd_diag.messages.schemas import Definition
 
 Payload = Bytes | list[memoryview]
 
+NO_SCHEMA = "no schema"
+"""What is `foreign` about a topic whose type nobody tells."""
+
 
 @dataclass
 class Topic:
-    """A topic of a bag: its messages, the type as the bag defines it, offered QoS profiles (YAML)."""
+    """A topic of a bag: its messages, the type as the bag defines it, offered QoS profiles (YAML).
+
+    What is `foreign` cannot be read: the encoding of its messages, where that is not CDR, or that they have
+    no schema; empty for all others.
+    """
 
     name: str
     type_name: str
     count: int = 0
     definition: Definition | None = None
     offers: str = ""
+    foreign: str = ""
+
+    @property
+    def content(self) -> str:
+        """What its messages are, for people: their type, or why they cannot be read."""
+        return f"{self.foreign}: not read" if self.foreign else self.type_name
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import Any
 
+import numpy as np
 import zstandard
 
 from hd_diag.bag.block import Block, LongMessage
@@ -19,6 +20,7 @@ from hd_diag.bag.rosbag2 import UNREADABLE, load_yaml
 
 _STORED = (".mcap", ".db3")
 _PACKED = ".zstd"
+_ZSTD_FRAME = np.frombuffer(b"\x28\xb5\x2f\xfd", np.uint8)  # it begins so; a message in CDR with a zero
 # What a compressed bag may unpack to: joint states that hardly change shrink to a hundredth [byte], [-].
 _UNPACKED_LEAST = 1 << 30
 _UNPACKED_RATIO = 100
@@ -60,7 +62,8 @@ def find_files(path: Path, *, lenient: bool = False) -> BagFiles:
             known.add(_plain(file))
             files.paths.append(file)
     if not files.paths:
-        raise BagError(path, "holds no .mcap or .db3 file")
+        other = next((f"; {file.name} is a ROS 1 bag" for file in sorted(path.glob("*.bag"))), "")
+        raise BagError(path, f"holds no .mcap or .db3 file{other}")
     return files
 
 
@@ -132,12 +135,19 @@ def unpack(path: Path, stack: ExitStack, files: int = 1) -> tuple[Path, str]:
     return out, ""  # a cut shows in the file itself: its end is missing
 
 
-def unpacked(path: Path, block: Block) -> Iterator[Block]:
-    """Messages that rosbag2 compressed one by one, a few megabytes at once; BagError as `decompressed`."""
-    first, found, size, zstd = 0, list[bytes](), 0, zstandard.ZstdDecompressor()
+def unpacked(path: Path, block: Block, stated: bool) -> Iterator[Block]:
+    """Messages, each of which may be compressed, a few megabytes at once; BagError as `decompressed`.
+
+    Without metadata by which that is `stated` the messages themselves tell it.
+    """
+    begins = block.data[block.offset[block.size >= len(_ZSTD_FRAME)]]
+    if not stated and not (begins == _ZSTD_FRAME[0]).any():
+        yield block
+        return
+    first, found, size, zstd = 0, list[bytes | memoryview](), 0, zstandard.ZstdDecompressor()
     for row, message in enumerate(block.messages(), start=1):
-        content = decompressed(path, message, zstd)
-        found.append(content if isinstance(content, bytes) else b"".join(content.read()))
+        content = decompressed(path, message, zstd, stated)
+        found.append(b"".join(content.read()) if isinstance(content, LongMessage) else content)
         size += len(found[-1])
         if size >= PIECE or row == len(block):
             yield block[first:row].holding(found)
@@ -145,11 +155,12 @@ def unpacked(path: Path, block: Block) -> Iterator[Block]:
 
 
 def decompressed(
-    path: Path, message: memoryview | LongMessage, zstd: zstandard.ZstdDecompressor
-) -> bytes | LongMessage:
+    path: Path, message: memoryview | LongMessage, zstd: zstandard.ZstdDecompressor, stated: bool
+) -> bytes | memoryview | LongMessage:
     """A message that rosbag2 compressed; BagError where it is damaged or unpacks to too much.
 
-    Making a decompressor takes longer than most messages: one serves many.
+    One that does not begin as what is compressed is given back, unless metadata have it `stated`. Making a
+    decompressor takes longer than most messages: one serves many.
     """
 
     def read() -> Iterator[bytes]:
@@ -157,8 +168,10 @@ def decompressed(
         return zstd.read_to_iter(stored, AT_ONCE, AT_ONCE)
 
     limit = believable(len(message))
+    head = next(message.read()) if isinstance(message, LongMessage) else message
+    if not stated and head[: len(_ZSTD_FRAME)] != _ZSTD_FRAME.data:
+        return message
     try:
-        head = next(message.read()) if isinstance(message, LongMessage) else message
         size = zstandard.get_frame_parameters(head).content_size
         if size != zstandard.CONTENTSIZE_UNKNOWN and size > limit:
             raise ValueError(f"it unpacks to {size} bytes, more than {limit}")

@@ -104,7 +104,7 @@ class McapFile:
     def declare(self, stream: Stream) -> None:
         """Write a topic's records, unless they are in the file."""
         if stream.channel.id not in self._channels:
-            if stream.schema.id not in self._schemas:
+            if stream.schema.id and stream.schema.id not in self._schemas:
                 self._schemas[stream.schema.id] = stream.schema
                 self._chunk.append(_packed(stream.schema))
             self._channels[stream.channel.id] = stream.channel

@@ -25,7 +25,7 @@ from mcap.records import Channel, Header, Schema, Statistics
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
 
-from hd_diag.bag.block import Block, LongMessage, Topic
+from hd_diag.bag.block import NO_SCHEMA, Block, LongMessage, Topic
 from hd_diag.bag.errors import BagError
 from hd_diag.bag.mcap_chunk import (
     AT_ONCE,
@@ -46,6 +46,7 @@ from hd_diag.bag.mcap_chunk import (
     parse,
     pieces,
 )
+from hd_diag.bag.other_files import PEEKED, told
 from hd_diag.messages.schemas import Definition
 
 MAGIC = MCAP0_MAGIC
@@ -71,7 +72,7 @@ class Scan:
 
     `end` is where the last whole record ends [byte], `problem` why that is not the end of the file; schemas
     and channels that stand in chunks are known only where the summary repeats them. Raises BagError, which
-    names `path`, where it is not an MCAP file of ROS 2.
+    names `path`, where it is not an MCAP file.
     """
 
     def __init__(self, path: Path, file: BufferedReader) -> None:
@@ -86,10 +87,8 @@ class Scan:
         self._open: dict[int, Content | OnDisk] = {}
         self._lock = threading.Lock()
         if self.read(0, len(MAGIC)) != MAGIC:
-            raise BagError(path, "is not an MCAP file" if self.size else "is empty")
+            raise BagError(path, told(self.read(0, PEEKED)))
         self.walk()
-        if self.profile not in ("", "ros2"):
-            raise BagError(path, f"has profile {self.profile!r}, not ros2")
 
     def read(self, offset: int, size: int) -> bytes:
         """What stands at a place, also beside other readers; ValueError where the file was closed."""
@@ -153,16 +152,18 @@ class Scan:
             return
 
     def topics(self) -> dict[int, Topic]:
-        """Topics, by number, of the channels that have a schema and are in CDR."""
-        topics = {}
-        for number, channel in self.channels.items():
-            schema = self.schemas.get(channel.schema_id)
-            if schema is not None and channel.message_encoding in ("cdr", ""):
-                text, more = schema.data.decode(errors="replace"), channel.metadata
-                known = Definition(schema.name, text, schema.encoding, more.get("topic_type_hash", ""))
-                offers = more.get("offered_qos_profiles", "")
-                topics[number] = Topic(channel.topic, schema.name, 0, known, offers)
-        return topics
+        """Topics of the channels, by number."""
+        return {number: self._topic(channel) for number, channel in self.channels.items()}
+
+    def _topic(self, channel: Channel) -> Topic:
+        schema, encoding = self.schemas.get(channel.schema_id), channel.message_encoding
+        foreign = "" if encoding in ("cdr", "") else encoding
+        if schema is None:
+            schema, foreign = Schema(0, b"", "", ""), foreign or NO_SCHEMA
+        text, more = schema.data.decode(errors="surrogateescape"), channel.metadata
+        own = text, schema.encoding, more.get("topic_type_hash", ""), encoding or "cdr"
+        known, offers = Definition(schema.name, *own), more.get("offered_qos_profiles", "")
+        return Topic(channel.topic, schema.name, 0, known, offers, foreign)
 
     def chunk_at(self, offset: int, length: int) -> Section:
         """The chunk record at `offset` of `length` bytes behind its head; ValueError where it is damaged."""

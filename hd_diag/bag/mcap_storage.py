@@ -25,7 +25,7 @@ class McapStorage:
     """An MCAP file: topics by channel number, least and greatest log time [ns], 0 and 0 for an empty file.
 
     The stack closes the file; `problem` says why it is not finished. Raises BagError where it is not an MCAP
-    file of ROS 2, or holds what cannot be read.
+    file, or holds what cannot be read.
     """
 
     def __init__(self, path: Path, stack: ExitStack) -> None:
@@ -39,24 +39,22 @@ class McapStorage:
         self.topics = self._scan.topics()
         if error is not None and not any(counts.values()):
             raise error
-        for number, channel in self._scan.channels.items():
-            if number not in self.topics:
-                raise BagError(path, f"topic {channel.topic} has no schema, or is not CDR")
-            self.topics[number].count = counts.pop(number, 0)
-        self._check_declared([number for number, count in counts.items() if count])
+        for number, topic in self.topics.items():
+            topic.count = counts.get(number, 0)
+        self._check_declared({number for number, count in counts.items() if count})
 
     def blocks(self, numbers: Sequence[int]) -> Iterator[Block]:
         """Messages of some channels in the order of log time; BagError where a chunk is damaged."""
 
         def chosen(sections: list[Section]) -> Block:
             block = self._scan.load(sections)
+            self._check_declared(set(np.unique(block.channel).tolist()))
             return block if len(numbers) == len(self.topics) else block[np.isin(block.channel, numbers)]
 
         try:
             unneeded = self.topics.keys() - set(numbers)
             sections = [section for section in self._sections() if section.channel not in unneeded]
             for block in _ordered(_stretches_of(sections), chosen):
-                self._check_declared(set(np.unique(block.channel).tolist()) - self.topics.keys())
                 if int(block.log_time[0]) < 0 or int(block.publish_time.min()) < 0:
                     raise ValueError("a message has a time beyond the year 2262")
                 yield block
@@ -77,8 +75,8 @@ class McapStorage:
             self._scan.sections, self._is_split = found, True
         return self._scan.sections
 
-    def _check_declared(self, unknown: Sequence[int] | set[int]) -> None:
-        if unknown:
+    def _check_declared(self, numbers: set[int]) -> None:
+        if unknown := numbers - self.topics.keys():
             raise BagError(self.path, f"holds messages of channel {min(unknown)}, which is not declared")
 
     def _count(self) -> tuple[dict[int, int], DamagedChunk | None]:

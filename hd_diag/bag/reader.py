@@ -81,7 +81,7 @@ class BagReader(AbstractContextManager["BagReader"]):
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
-        self._topics: dict[tuple[str, str], Topic] = {}
+        self._topics: dict[tuple[str, str, str], Topic] = {}
         self._sources: list[tuple[Path, McapStorage | SqliteFile, dict[int, Topic], dict[int, int]]] = []
         self._stack = ExitStack()
         try:
@@ -103,8 +103,13 @@ class BagReader(AbstractContextManager["BagReader"]):
 
     @property
     def topics(self) -> list[Topic]:
-        """Topics in the order of their first appearance."""
-        return list(self._topics.values())
+        """Topics in CDR in the order of their first appearance."""
+        return [topic for topic in self._topics.values() if not topic.foreign]
+
+    @property
+    def foreign(self) -> list[Topic]:
+        """Topics that are not in CDR, or have no schema: nothing of them is read."""
+        return [topic for topic in self._topics.values() if topic.foreign]
 
     @property
     def message_count(self) -> int:
@@ -135,12 +140,16 @@ class BagReader(AbstractContextManager["BagReader"]):
         """As `batches`, in long runs: topics for which `together` is true may alternate within one."""
         names = None if topics is None else set(topics)
         for path, storage, known, counted in self._sources:
-            numbers = [n for n, topic in known.items() if names is None or topic.name in names]
+            numbers = [
+                n
+                for n, topic in known.items()
+                if not topic.foreign and (names is None or topic.name in names)
+            ]
             alternating, read = [n for n in numbers if together(known[n])], Counter[int]()
             try:
                 for block in storage.blocks(numbers) if numbers else ():
                     read.update(dict(zip(*np.unique(block.channel, return_counts=True), strict=True)))
-                    for plain in unpacked(path, block) if self._message_compression else (block,):
+                    for plain in unpacked(path, block, self._message_compression):
                         for part in _runs(plain, alternating):
                             yield self._mixed(known, part)
             except BagError as exc:
@@ -202,7 +211,7 @@ class BagReader(AbstractContextManager["BagReader"]):
         counted = {number: topic.count for number, topic in storage.topics.items()}
         self._sources.append((path, storage, {}, counted))
         for number, topic in storage.topics.items():
-            known = self._topics.setdefault((topic.name, topic.type_name), topic)
+            known = self._topics.setdefault((topic.name, topic.type_name, topic.foreign), topic)
             known.count += topic.count if known is not topic else 0
             self._sources[-1][2][number] = known
 

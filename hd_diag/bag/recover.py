@@ -21,7 +21,7 @@ from hd_diag.bag.mcap_scan import MAGIC, Scan
 from hd_diag.bag.sqlite_file import SqliteFile, is_sqlite
 from hd_diag.bag.typestore import store_of
 from hd_diag.bag.writer import BagWriter
-from hd_diag.messages.schemas import jazzy
+from hd_diag.messages.schemas import Definition, jazzy
 
 # Messages copied at once: their columns as Python numbers take far more memory than they themselves.
 _AT_ONCE = 1 << 14
@@ -165,9 +165,11 @@ def _copy(
 ) -> dict[tuple[str, str], Topic]:
     """Write the messages whose times can be and whose topics are known; these are given by name and type."""
     here = set(np.unique(block.channel).tolist())
-    known = {number: topic for number, topic in topics.items() if number in here and _is_defined(topic)}
+    known = {number: topics[number] for number in here & topics.keys() if _is_defined(topics[number])}
     for topic in known.values():
         text = topic.definition if topic.definition is not None and topic.definition.text else None
+        if topic.foreign:
+            text = topic.definition or Definition(topic.type_name, "", "", "", topic.foreign)
         begin().add_topic(topic.name, topic.type_name, topic.offers, text)
     is_late, is_known = (block.log_time < 0) | (block.publish_time < 0), np.isin(block.channel, [*known])
     lost = {
@@ -183,7 +185,7 @@ def _copy(
         contents = part.messages() if part.long is None else [part.long]
         for data, channel, *times in zip(contents, *columns, strict=True):
             try:
-                message = decompressed(file.path, data, zstd) if packed else data
+                message = decompressed(file.path, data, zstd, packed)
             except BagError:
                 lost["compressed messages are damaged"] += 1
                 continue
@@ -200,12 +202,15 @@ def _copy(
 
 
 def _is_defined(topic: Topic) -> bool:
-    """Whether the type of a topic has a definition, in the bag or in ROS 2 Jazzy."""
-    return bool(topic.definition and topic.definition.text) or topic.type_name in jazzy().fielddefs
+    """Whether the type of a topic is defined, in the bag or in ROS 2 Jazzy; or it is foreign."""
+    has_text = topic.definition is not None and topic.definition.text != ""
+    return bool(topic.foreign) or has_text or topic.type_name in jazzy().fielddefs
 
 
 def _is_understood(topic: Topic) -> bool:
-    """Whether the messages of a topic can be decoded."""
+    """Whether the messages of a topic can be decoded, or need not be."""
+    if topic.foreign:
+        return True
     try:
         store_of(topic.type_name, topic.definition)
     except ValueError:

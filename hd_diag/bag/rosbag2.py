@@ -69,7 +69,7 @@ def metadata(files: Sequence[Written], streams: Iterable[Stream]) -> dict[str, A
             "topic_metadata": {
                 "name": stream.channel.topic,
                 "type": stream.schema.name,
-                "serialization_format": "cdr",
+                "serialization_format": stream.channel.message_encoding,
                 "offered_qos_profiles": load_yaml(stream.channel.metadata["offered_qos_profiles"]) or [],
                 "type_description_hash": stream.channel.metadata["topic_type_hash"],
             },

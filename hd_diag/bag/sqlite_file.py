@@ -164,7 +164,7 @@ class SqliteFile:
 
 
 def _topics(db: sqlite3.Connection) -> dict[int, Topic]:
-    """Topics with messages in CDR, by number."""
+    """Topics by number."""
     # Views could be endless queries: what is read must be plain tables.
     tables = {name for (name,) in db.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     if not {"messages", "topics"} <= tables:
@@ -178,9 +178,10 @@ def _topics(db: sqlite3.Connection) -> dict[int, Topic]:
     offers = "offered_qos_profiles" if has_offers else "''"
     topics = db.execute(f"SELECT id, name, type, serialization_format, {offers} FROM topics")
     return {
-        int(number): Topic(str(name), str(kind), 0, known.get(kind), str(profiles))
+        int(number): Topic(
+            str(name), str(kind), 0, known.get(kind), str(profiles), "" if form == "cdr" else str(form)
+        )
         for number, name, kind, form, profiles in topics
-        if form == "cdr"
     }
 
 

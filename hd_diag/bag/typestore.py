@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from rosbags.interfaces import Nodetype
+from rosbags.interfaces.typing import Typesdict
 from rosbags.typesys import get_types_from_idl, get_types_from_msg
 from rosbags.typesys.store import Typestore
 
@@ -15,6 +16,8 @@ from hd_diag.messages.encoding import encode_joint_states
 from hd_diag.messages.joint_states import JOINT_STATE
 from hd_diag.messages.schemas import Definition, deserialize, jazzy
 
+# What rosbag2 and MCAP put before each part of a definition: 80 times "=", and what it defines.
+_PART = re.compile(r"^=+\n(IDL|MSG): *(\S+)\n", re.MULTILINE)
 _NAME = re.compile(r"[A-Za-z]\w{0,99}/(msg|srv|action)/[A-Za-z]\w{0,99}", re.ASCII)
 # The deserializer of rosbags is unrolled over fixed arrays: longer ones of anything but numbers are refused.
 _MAX_UNROLLED = 1000
@@ -40,16 +43,15 @@ def store_of(type_name: str, known: Definition | None) -> Typestore:
 
 def _registered(known: Definition) -> Typestore:
     """A fresh store with a definition and what it uses."""
-    is_msg = known.encoding == "ros2msg"
     # The parser's time grows with the square of the number of empty and comment lines.
-    comment = "#" if is_msg else "//"
+    comment = "#" if known.encoding == "ros2msg" else ("//", "#include")
     lines = (line for line in known.text.splitlines() if line.strip())
     text = "".join(line + "\n" for line in lines if not line.lstrip().startswith(comment))
     if not _NAME.fullmatch(known.type_name) or len(text) > _MAX_TEXT:
         raise ValueError(f"definition of {known.type_name[:100]} is not usable")
     store = Typestore()
     try:
-        types = get_types_from_msg(text, known.type_name) if is_msg else get_types_from_idl(text)
+        types = _types(text, known)
         for name, (_, fields) in types.items():
             if not _NAME.fullmatch(name) or not all(_is_bounded(desc) for _, desc in fields):
                 raise ValueError(f"type {name[:100]} is not usable")
@@ -59,6 +61,17 @@ def _registered(known: Definition) -> Typestore:
     except Exception as exc:  # rosbags raises many kinds on hostile text
         raise ValueError(f"definition of {known.type_name} cannot be understood: {exc}") from exc
     return store
+
+
+def _types(text: str, known: Definition) -> Typesdict:
+    """Types of a definition; each part of IDL stands for itself."""
+    if known.encoding == "ros2msg":
+        return get_types_from_msg(text, known.type_name)
+    first, *parts = _PART.split(text)
+    types = get_types_from_idl(first) if first.strip() else {}
+    for kind, name, part in zip(parts[::3], parts[1::3], parts[2::3], strict=True):
+        types |= get_types_from_idl(part) if kind == "IDL" else get_types_from_msg(part, name)
+    return types
 
 
 def _is_bounded(desc: Any) -> bool:

@@ -93,7 +93,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._chunk_size, self._overwrite = chunk_size, overwrite
         self._files: list[Written] = []  # the last one is that of `_file`
         self._streams: dict[tuple[str, str], Stream] = {}
-        self._schemas: dict[str, Schema] = {}
+        self._schemas: dict[tuple[str, str], Schema] = {}
         self._closed = False
         self._place, self._disk = Place(self.path), Disk(sync_period)
         with self._guarded():
@@ -120,7 +120,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         """Declare a topic before its first message; needed only for types that ROS 2 Jazzy does not have.
 
         `qos` is the offered profile, or the YAML text of another bag's ``offered_qos_profiles``; `known` the
-        definition of the type to carry, by default that of ROS 2 Jazzy.
+        definition of the type to carry, by default that of ROS 2 Jazzy; one of no name is none.
 
         Raises
         ------
@@ -137,11 +137,14 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             known = known or definition(type_name)
         except KeyError as exc:
             raise BagError(self.path, f"type {type_name} of topic {topic} has no known definition") from exc
-        own = Schema(len(self._schemas) + 1, known.text.encode(), known.encoding, type_name)
-        schema = self._schemas.setdefault(type_name, own)
+        text = known.text.encode(errors="surrogateescape")  # as it was read: it may be binary
+        own = Schema(len(self._schemas) + 1 if type_name else 0, text, known.encoding, type_name)
+        schema = self._schemas.setdefault((type_name, known.encoding), own)
         offers = dump_offers(parse_offers(qos) if isinstance(qos, str) else [qos or RELIABLE])
         extra = {"offered_qos_profiles": offers, "topic_type_hash": known.type_hash}
-        self._streams[topic, type_name] = Stream(schema, Channel(number, topic, "cdr", extra, schema.id))
+        self._streams[topic, type_name] = Stream(
+            schema, Channel(number, topic, known.messages, extra, schema.id)
+        )
 
     def write(
         self,

@@ -33,6 +33,7 @@ def topics(bag: Path, json_file: str | None) -> None:
                 found, problem = [], str(error)
             every += found
             seen.append((topic, found, problem))
+        seen += [(topic, [], topic.content) for topic in reader.foreign]
         result = _result(reader, seen, every)
     if write_json(json_file, result):
         _tell(result)
@@ -136,7 +137,7 @@ def _tell(result: dict[str, Any]) -> None:
         tell(f"  {problem}")
     for topic in result["topics"]:
         rate = f", {figure(topic['rate'])} Hz" if topic["rate"] else ""
-        tell(f"{topic['name']}: {topic['type']}, {topic['messages']} messages{rate}")
+        tell(f"{topic['name']}: {topic['type'] or 'no type'}, {topic['messages']} messages{rate}")
         if topic["problem"]:
             tell(f"  {topic['problem']}")
         known = [n for n in topic["numbers"] if n["kind"]]

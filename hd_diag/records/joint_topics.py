@@ -87,7 +87,13 @@ class JointTopics:
             t for t in self._bag.topics if t.name.endswith(end)
         ]
         if not known:
-            raise BagError(self._bag.path, f"has no topic {wanted} for {joint}; {held(self._bag)}")
+            foreign = [t for t in self._bag.foreign if t.name == wanted or t.name.endswith(end)]
+            what = (
+                f"{wanted} for {joint} is {foreign[0].content}"
+                if foreign
+                else f"has no topic {wanted} for {joint}"
+            )
+            raise BagError(self._bag.path, f"{what}; {held(self._bag)}")
         right = [t.name for t in known if t.type_name == signal.type_name]
         if not right:
             text = (
@@ -142,7 +148,8 @@ def joints_in(reader: BagReader) -> frozenset[str]:
 
 def held(reader: BagReader) -> str:
     """Topics of a bag with their types, what is wrong with it, and what tells more, for an error."""
-    topics = [f"{visible(t.name, _LONGEST)} ({visible(t.type_name, _LONGEST)})" for t in reader.topics]
+    every = [*reader.topics, *reader.foreign]
+    topics = [f"{visible(t.name, _LONGEST)} ({visible(t.content, _LONGEST)})" for t in every]
     content = f"it has {listed(topics, _SHOWN)}; see hd-diag topics" if topics else "it has no topics"
     return "; ".join([content, *reader.problems])
 

@@ -1,0 +1,281 @@
+"""What is in a bag beside messages in CDR, definitions in IDL, and files that are no bags."""
+
+import gzip
+import json
+import shutil
+import sqlite3
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import faults
+import numpy as np
+import pytest
+from bag_samples import JOINT_STATE, rows, write_with_mcap
+from cli_runner import hd_diag
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from numpy.testing import assert_array_equal
+from rosbags.rosbag2 import Reader, StoragePlugin
+from rosbags.rosbag2 import Writer as RosbagsWriter
+from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
+
+from hd_diag.bag import BagError, BagReader, recover
+from hd_diag.bag.typestore import store_of
+from hd_diag.config.configuration import JointConfig, resolve
+from hd_diag.messages.encoding import encode_joint_states
+from hd_diag.messages.schemas import Definition, deserialize, jazzy
+from hd_diag.records.joint_record import read_motion
+
+COUNT = 300
+STAMPS = 10**18 + 5_000_000 * np.arange(COUNT)
+ANGLE = np.linspace(0.0, 40.0, COUNT)
+EFFORT = 20.0 * np.sin(0.3 * ANGLE)
+POSITION = np.column_stack((ANGLE, ANGLE / 100.0))
+STATES = encode_joint_states(
+    ("joint_1_motor", "joint_1"), STAMPS, POSITION, None, np.column_stack((0.0 * EFFORT, EFFORT))
+)
+BINARY = bytes(range(256))  # as a schema of protobuf is
+# Encoding of messages; encoding, name and text of the schema, if there is one; a message.
+FOREIGN: dict[str, tuple[str, tuple[str, str, bytes] | None, bytes]] = {
+    "json": ("json", ("jsonschema", "cell.Status", b'{"type": "object"}'), b'{"on": true}'),
+    "protobuf": ("protobuf", ("protobuf", "cell.Status", BINARY), BINARY),
+    "flatbuffer": ("flatbuffer", ("flatbuffer", "cell.Status", BINARY), BINARY),
+    "ros1": ("ros1", ("ros1msg", "sensor_msgs/JointState", b"float64 x\n"), BINARY),
+    "no schema": ("cdr", None, STATES[0].tobytes()),
+    "json without a schema": ("json", None, b"{}"),
+    "json by the name of joint states": ("json", ("jsonschema", JOINT_STATE, b"{}"), b"{}"),
+}
+
+
+def mcap_with(path: Path, kind: str) -> Path:
+    encoding, schema, data = FOREIGN[kind]
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=4000)
+        writer.start("ros2")
+        text = jazzy().generate_msgdef(JOINT_STATE, ros_version=2)[0].encode()
+        own = writer.register_schema(JOINT_STATE, "ros2msg", text)
+        joints = writer.register_channel("/joint_states", "cdr", own)
+        number = writer.register_schema(schema[1], schema[0], schema[2]) if schema else 0
+        other = writer.register_channel("/cell", encoding, number)
+        for row, now in zip(STATES, STAMPS.tolist(), strict=True):
+            writer.add_message(other, now, data, now)
+            writer.add_message(joints, now, row.tobytes(), now)
+        writer.finish()
+    return path
+
+
+def database_with(path: Path, kind: str) -> Path:
+    """As rosbag2 has it: the format of a topic in its table."""
+    encoding, schema, data = FOREIGN[kind]
+    shutil.rmtree(path, ignore_errors=True)
+    with RosbagsWriter(path, version=9) as writer:
+        joints = writer.add_connection("/joint_states", JOINT_STATE, typestore=jazzy())
+        other = writer.add_connection("/cell", "std_msgs/msg/String", typestore=jazzy())
+        for row, now in zip(STATES, STAMPS.tolist(), strict=True):
+            writer.write(other, now, data)
+            writer.write(joints, now, row.tobytes())
+    with closing(sqlite3.connect(path / f"{path.name}.db3")) as db:
+        name = schema[1] if schema else ""
+        db.execute(
+            "UPDATE topics SET serialization_format = ?, type = ? WHERE name = '/cell'", (encoding, name)
+        )
+        db.commit()
+    return path / f"{path.name}.db3"
+
+
+def one_joint() -> JointConfig:
+    return resolve({}).joints[0]
+
+
+CASES = [(mcap_with, kind) for kind in FOREIGN] + [
+    (database_with, kind) for kind in FOREIGN if FOREIGN[kind][0] != "cdr"
+]
+
+
+@pytest.mark.parametrize(("write", "kind"), CASES)
+def test_what_cannot_be_read_is_listed_and_left_alone(
+    write: Callable[[Path, str], Path], kind: str, tmp_path: Path
+) -> None:
+    bag = write(tmp_path / "a.mcap", kind)
+    motion = read_motion([bag], one_joint())
+    assert motion is not None
+    assert motion.torque is not None
+    np.testing.assert_allclose(motion.input_angle, ANGLE, atol=1e-12)
+    np.testing.assert_allclose(motion.torque, EFFORT, atol=1e-12)
+    told = hd_diag("topics", bag, "--json", tmp_path / "t.json")
+    assert told.exit_code == 0
+    content = json.loads((tmp_path / "t.json").read_text())
+    states, other = content["topics"]
+    assert (states["messages"], other["messages"], states["problem"]) == (COUNT, COUNT, "")
+    assert other["problem"] == f"{FOREIGN[kind][0] if FOREIGN[kind][0] != 'cdr' else 'no schema'}: not read"
+    assert [joint["name"] for joint in content["joints"]] == ["joint_1"]
+
+
+@pytest.mark.parametrize(("write", "kind"), CASES)
+def test_recover_copies_what_it_cannot_read(
+    write: Callable[[Path, str], Path], kind: str, tmp_path: Path
+) -> None:
+    encoding, schema, data = FOREIGN[kind]
+    report = recover(write(tmp_path / "a.mcap", kind), tmp_path / "b.mcap")
+    assert report.complete
+    assert report.counts == {"/cell": COUNT, "/joint_states": COUNT}
+    with (tmp_path / "b.mcap").open("rb") as file:
+        every = [(s, c, m.data) for s, c, m in make_reader(file).iter_messages() if c.topic == "/cell"]
+    assert {(c.message_encoding, bytes(d)) for _, c, d in every} == {(encoding, data)}
+    if schema and write is mcap_with:
+        assert {(s.encoding, s.name, s.data) for s, _, _ in every} == {schema}
+
+
+def test_a_signal_mapped_to_it_is_an_error_that_says_what_it_is(tmp_path: Path) -> None:
+    mapped = {
+        "joint_1.input.topic": "/cell",
+        "joint_1.input.type": "cell/Status",
+        "joint_1.input.field": "angle",
+    }
+    with pytest.raises(BagError, match="/cell for joint_1 is json: not read; it has /joint_states"):
+        read_motion([mcap_with(tmp_path / "a.mcap", "json")], resolve(mapped).joints[0])
+
+
+def test_a_bag_of_nothing_else_says_what_it_holds(tmp_path: Path) -> None:
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros1")
+        schema = writer.register_schema("sensor_msgs/JointState", "ros1msg", b"float64 x\n")
+        writer.add_message(writer.register_channel("/joint_states", "ros1", schema), 1, b"x", 1)
+        writer.finish()
+    result = hd_diag("ripple", tmp_path / "a.mcap")
+    assert result.exit_code == 2
+    assert "it has /joint_states (ros1: not read)" in result.stderr
+
+
+# Definitions in IDL ---
+
+LINE = "=" * 80
+IDL = f"""{LINE}
+IDL: acme_msgs/msg/Drive
+// generated from rosidl_adapter/resource/msg.idl.em
+
+#include "acme_msgs/msg/Side.idl"
+#include "std_msgs/msg/Header.idl"
+
+module acme_msgs {{
+  module msg {{
+    typedef double double__2[2];
+    @verbatim (language="comment", text=
+      "One drive")
+    struct Drive {{
+      std_msgs::msg::Header header;
+      sequence<acme_msgs::msg::Side> sides;
+      double__2 torque;
+    }};
+  }};
+}};
+{LINE}
+IDL: acme_msgs/msg/Side
+module acme_msgs {{ module msg {{ struct Side {{ string name; @unit (value="rad") double angle; }}; }}; }};
+{LINE}
+IDL: std_msgs/msg/Header
+#include "builtin_interfaces/msg/Time.idl"
+module std_msgs {{ module msg {{
+  struct Header {{ builtin_interfaces::msg::Time stamp; string frame_id; }};
+}}; }};
+{LINE}
+IDL: builtin_interfaces/msg/Time
+module builtin_interfaces {{ module msg {{ struct Time {{ long sec; unsigned long nanosec; }}; }}; }};
+"""
+MSG = f"""std_msgs/Header header
+acme_msgs/Side[] sides
+float64[2] torque
+{LINE}
+MSG: acme_msgs/Side
+string name
+float64 angle
+"""
+
+
+def test_parts_of_idl_are_the_types_that_messages_are() -> None:
+    """The type's hash stands for all of its fields; a message is read alike."""
+    name = "acme_msgs/msg/Drive"
+    header = f"{LINE}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+    time = f"{LINE}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+    ours, same = (
+        store_of(name, Definition(name, text, encoding))
+        for text, encoding in ((IDL, "ros2idl"), (MSG + header + time, "ros2msg"))
+    )
+    assert ours.hash_rihs01(name) == same.hash_rihs01(name)
+    types: Any = same.types
+    stamp = types["builtin_interfaces/msg/Time"](3, 4)
+    side = types["acme_msgs/msg/Side"]("left", 1.5)
+    message = types[name](types["std_msgs/msg/Header"](stamp, "base"), [side], np.array([2.0, 3.0]))
+    found = deserialize(ours, bytes(same.serialize_cdr(message, name)), name)
+    assert (found.header.stamp.sec, found.sides[0].name, found.sides[0].angle) == (3, "left", 1.5)
+    assert_array_equal(found.torque, [2.0, 3.0])
+
+
+# Compression, and files that are none ---
+
+
+@pytest.mark.parametrize("plugin", list(StoragePlugin))
+def test_compressed_messages_need_no_metadata(plugin: StoragePlugin, tmp_path: Path) -> None:
+    block, stamps = rows(200)
+    writer = RosbagsWriter(tmp_path / "bag", version=9, storage_plugin=plugin)
+    writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
+    with writer:
+        topic = writer.add_connection("/j", JOINT_STATE, typestore=jazzy())
+        for row, now in zip(block, stamps.tolist(), strict=True):
+            writer.write(topic, now, row.tobytes())
+    with Reader(tmp_path / "bag") as other:
+        expected = [bytes(data) for _, _, data in other.messages()]
+    (file,) = (path for path in (tmp_path / "bag").iterdir() if path.suffix in (".mcap", ".db3"))
+    assert recover(file, tmp_path / "whole.mcap").complete
+    for path in (file, tmp_path / "whole.mcap"):
+        with BagReader(path) as reader:
+            found = [bytes(data) for batch in reader.batches() for data in batch.messages()]
+        assert found == expected
+
+
+def test_what_only_begins_as_if_compressed_is_left_alone(tmp_path: Path) -> None:
+    """CDR has a zero first; other bytes are no CDR, whatever they are."""
+    data = [b"(", b"(x", b"", b"(\xb5/", STATES[0].tobytes()]
+    given = [("/j", JOINT_STATE, each, i) for i, each in enumerate(data)]
+    with BagReader(write_with_mcap(tmp_path / "a.mcap", given)) as reader:
+        found = [bytes(each) for batch in reader.batches() for each in batch.messages()]
+    assert found == data
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"#ROSBAG V2.0\n" + bytes(100), "is a ROS 1 bag: `rosbags-convert"),
+        (b"", "is empty"),
+        (b"0.1 2.0 3.0\n0.2 2.1 3.0\n", "text; a table's name"),
+        ("Zeit;Winkel °\n1;2\n".encode(), "text; a table's name"),
+        ("Zeit;Winkel\n".encode("utf-16"), "text; a table's name"),
+        (gzip.compress(b"x"), "compressed by gzip"),
+        (bytes(range(256)), "is not an MCAP file"),
+    ],
+)
+def test_a_file_that_is_no_bag_says_what_it_is(content: bytes, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    with pytest.raises(BagError, match=said):
+        BagReader(path)
+
+
+def test_a_folder_with_a_bag_of_ros_1(tmp_path: Path) -> None:
+    (tmp_path / "run.bag").write_bytes(b"#ROSBAG V2.0\n")
+    with pytest.raises(BagError, match=r"no \.mcap or \.db3 file; run\.bag is a ROS 1 bag"):
+        BagReader(tmp_path)
+
+
+def test_a_replay_takes_what_it_needs(tmp_path: Path) -> None:
+    (tmp_path / "one.yaml").write_text(faults.parameter_file(array_rate=0.0))
+    for kind in ("json", "no schema"):
+        bag = mcap_with(tmp_path / "a.mcap", kind)
+        out = tmp_path / f"{kind}.mcap"
+        assert hd_diag("replay", bag, "--config", tmp_path / "one.yaml", "--out", out).exit_code == 0
+        with BagReader(out) as reader:
+            counts = {topic.name: topic.count for topic in reader.topics}
+        assert counts["/joint_states"] == counts["/hd_diag/residual"] == COUNT
