@@ -21,7 +21,7 @@ from hd_diag.bag.mcap_scan import MAGIC, Scan
 from hd_diag.bag.sqlite_file import SqliteFile, is_sqlite
 from hd_diag.bag.typestore import store_of
 from hd_diag.bag.writer import BagWriter
-from hd_diag.messages.schemas import Definition, jazzy
+from hd_diag.messages.schemas import jazzy
 
 # Messages copied at once: their columns as Python numbers take far more memory than they themselves.
 _AT_ONCE = 1 << 14
@@ -167,9 +167,8 @@ def _copy(
     here = set(np.unique(block.channel).tolist())
     known = {number: topics[number] for number in here & topics.keys() if _is_defined(topics[number])}
     for topic in known.values():
-        text = topic.definition if topic.definition is not None and topic.definition.text else None
-        if topic.foreign:
-            text = topic.definition or Definition(topic.type_name, "", "", "", topic.foreign)
+        is_given = topic.definition is not None and (topic.foreign or topic.definition.text)
+        text = topic.definition if is_given else None
         begin().add_topic(topic.name, topic.type_name, topic.offers, text)
     is_late, is_known = (block.log_time < 0) | (block.publish_time < 0), np.isin(block.channel, [*known])
     lost = {

@@ -177,12 +177,13 @@ def _topics(db: sqlite3.Connection) -> dict[int, Topic]:
     has_offers = "offered_qos_profiles" in {row[1] for row in db.execute("PRAGMA table_info(topics)")}
     offers = "offered_qos_profiles" if has_offers else "''"
     topics = db.execute(f"SELECT id, name, type, serialization_format, {offers} FROM topics")
-    return {
-        int(number): Topic(
-            str(name), str(kind), 0, known.get(kind), str(profiles), "" if form == "cdr" else str(form)
-        )
-        for number, name, kind, form, profiles in topics
-    }
+    found = {}
+    for number, name, kind, form, profiles in topics:
+        own, foreign = known.get(kind), "" if form == "cdr" else str(form)
+        if foreign:
+            own = replace(own or Definition(str(kind), "", ""), messages=foreign)
+        found[int(number)] = Topic(str(name), str(kind), 0, own, str(profiles), foreign)
+    return found
 
 
 def _block_of(rows: list[tuple[int, int, bytes]]) -> Block:

@@ -130,16 +130,14 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._check_open()
         if (topic, type_name) in self._streams:
             return
-        number = len(self._streams) + 1
-        if number == 2**16:  # channel numbers have 16 bits
+        if (number := len(self._streams) + 1) == 2**16:  # channel numbers have 16 bits
             raise BagError(self.path, f"{topic}: a bag holds no more than {number - 1} topics")
         try:
             known = known or definition(type_name)
         except KeyError as exc:
             raise BagError(self.path, f"type {type_name} of topic {topic} has no known definition") from exc
-        text = known.text.encode(errors="surrogateescape")  # as it was read: it may be binary
-        own = Schema(len(self._schemas) + 1 if type_name else 0, text, known.encoding, type_name)
-        schema = self._schemas.setdefault((type_name, known.encoding), own)
+        own = known.text.encode(errors="surrogateescape"), known.encoding, type_name  # it may be binary
+        schema = self._schemas.setdefault(own[1:], Schema(len(self._schemas) + 1 if type_name else 0, *own))
         offers = dump_offers(parse_offers(qos) if isinstance(qos, str) else [qos or RELIABLE])
         extra = {"offered_qos_profiles": offers, "topic_type_hash": known.type_hash}
         self._streams[topic, type_name] = Stream(

@@ -14,8 +14,8 @@ from rosbags.typesys.store import Typestore
 class Definition:
     """Definition of a message type and of those that it uses, as a bag carries it.
 
-    The encoding is ``ros2msg`` or ``ros2idl``; the RIHS01 hash is empty where it is not known. The encoding of
-    the messages themselves is another than ``cdr`` where they can only be copied.
+    The encoding is ``ros2msg`` or ``ros2idl``; the RIHS01 hash is empty where it is not known. That of the
+    messages is another than ``cdr`` where they can only be copied.
     """
 
     type_name: str
