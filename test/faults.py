@@ -227,6 +227,7 @@ VALUES: list[tuple[dict[str, Any], str]] = [
     ({"elbow.flexspline_tooth.addendum_center": [1e-3]}, "expected two numbers"),
     ({"elbow.output": "cup"}, "expected one of flexspline, circular_spline"),
     ({"elbow.excentricity": 1e-6}, "unknown parameter 'elbow.excentricity'; the nearest known is 'elbow."),
+    ({"elbow.nonsense": 1.0}, "unknown parameter 'elbow.nonsense', and none that is known is like it"),
 ]
 
 
@@ -288,6 +289,8 @@ SIGINT, SIGTERM | node | code 0; what was taken is answered and logged
     test_node.py::test_signals_while_messages_wait
 a publisher that dies | node | STALE until another comes
     test_node.py::test_a_publisher_that_dies_and_comes_back
+a name, a topic or a stamp that a joint waits for in vain | node | STALE says what arrives in its place
+    test_node_absences.py::test_stale_says_why_live_and_in_the_replay
 a second publisher of a joint | node | a warning until one goes
     test_node.py::test_a_second_publisher_of_a_joint_is_a_warning_until_it_goes
 a publisher of best effort | node | heard likewise

@@ -32,19 +32,26 @@ _numbers = itertools.count()
 class Process:
     """``python -m hd_diag.ros.node`` with a parameter file.
 
-    Every node of a test process has a namespace of its own, its diagnostics too.
+    Every node of a test process has a namespace of its own, its diagnostics too. With `by_config` it is
+    ``hd-diag node --config``, with a file that begins with the node's name.
     """
 
-    def __init__(self, folder: Path, parameters: Mapping[str, Any], *arguments: str) -> None:
+    def __init__(
+        self, folder: Path, parameters: Mapping[str, Any], *arguments: str, by_config: bool = False
+    ) -> None:
         self.namespace = f"/n{next(_numbers)}"
         file = folder / "parameters.yaml"
-        file.write_text(yaml.safe_dump({"/**": {"ros__parameters": dict(parameters)}}))
+        head = "hd_diag" if by_config else "/**"
+        file.write_text(yaml.safe_dump({head: {"ros__parameters": dict(parameters)}}))
         self.stderr = folder / "stderr.txt"
-        ros = ["--ros-args", "--params-file", str(file), "-r", f"__ns:={self.namespace}"]
+        start = ["-m", "hd_diag.ros.node", "--ros-args", "--params-file", str(file)]
+        if by_config:
+            start = ["-m", "hd_diag", "node", "--config", str(file), "--", "--ros-args"]
+        ros = ["-r", f"__ns:={self.namespace}"]
         remap = ["-r", f"/diagnostics:={self.namespace}/diagnostics", "-r", f"/clock:={self.namespace}/clock"]
 
         with self.stderr.open("wb") as stderr:
-            command = [sys.executable, "-m", "hd_diag.ros.node", *ros, *remap, *arguments]
+            command = [sys.executable, *start, *ros, *remap, *arguments]
             self.popen = subprocess.Popen(command, stdout=stderr, stderr=stderr)
 
     def end(self, number: int = signal.SIGTERM) -> int:
@@ -201,9 +208,11 @@ def feed(
 
 
 @contextlib.contextmanager
-def running(folder: Path, parameters: Mapping[str, Any], *arguments: str) -> Iterator[Rig]:
+def running(
+    folder: Path, parameters: Mapping[str, Any], *arguments: str, by_config: bool = False
+) -> Iterator[Rig]:
     """A node that answers, and what stands around it."""
-    with Process(folder, parameters, *arguments) as process:
+    with Process(folder, parameters, *arguments, by_config=by_config) as process:
         rig = Rig(process)
         try:
             yield rig

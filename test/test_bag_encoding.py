@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from hd_diag.messages.encoding import encode_float64_multiarray, encode_joint_states
+from hd_diag.messages.encoding import encode_float64_multiarray, encode_headers, encode_joint_states
 from hd_diag.messages.joint_states import kernel
 from hd_diag.messages.publications import DIAGNOSTICS, STRING, encode, read_string, string
 from hd_diag.messages.schemas import jazzy, serialize
@@ -50,6 +50,14 @@ def test_multiarrays_are_what_rosbags_serializes(dims, count, chance):
     layout = types["std_msgs/msg/MultiArrayLayout"](every, 0)
     expected = [serialize(types[MULTIARRAY](layout, row.ravel()), MULTIARRAY) for row in values]
     assert [row.tobytes() for row in encoded] == expected
+
+
+@given(st.lists(st.integers(-(2**31) * 10**9, 2**31 * 10**9 - 1), max_size=4), text)
+def test_headers_are_what_rosbags_serializes(stamps, frame):
+    types, header = jazzy().types, "std_msgs/msg/Header"
+    times = [types["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9)) for stamp in stamps]
+    expected = [serialize(types[header](time, frame), header) for time in times]
+    assert [row.tobytes() for row in encode_headers(stamps, frame)] == expected
 
 
 values_ = st.dictionaries(text, text, min_size=1, max_size=4)

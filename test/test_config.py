@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from rclpy.node import Node
 
 from hd_diag.config.configuration import ConfigError, dump, load, resolve
-from hd_diag.config.parameter_file import read
+from hd_diag.config.parameter_file import for_any_node, is_for, read
 from hd_diag.config.parameters import parameters
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -118,10 +118,53 @@ def test_seven_joints_differ_as_written() -> None:
         ("array_rat", "array_rate"),
         ("joint_1.flexspline_tooth.addendum_centre", "joint_1.flexspline_tooth.addendum_center"),
         ("joint_2.ratio", "joint_1.ratio"),
+        ("joint_1.excentricity.magnitude", "joint_1.eccentricity.magnitude"),
+        ("joint_1.ecc.magnitude", "joint_1.eccentricity.magnitude"),
+        ("residual_rms", "joint_1.limits.residual_rms.warn"),
+        ("logpath", "log.path"),
+        ("Diagnostics_Rate", "diagnostics_rate"),
     ],
 )
 def test_unknown_parameter_names_the_nearest(name: str, near: str) -> None:
     assert refusal({name: 1.0}) == f"unknown parameter '{name}'; the nearest known is '{near}'"
+
+
+@pytest.mark.parametrize("name", ["nonsense", "joint_1.nonsense", "x" * 3000, "7"])
+def test_what_is_like_no_parameter_is_said_to_be_like_none(name: str) -> None:
+    assert refusal({name: 1.0}).endswith(", and none that is known is like it")
+
+
+@pytest.mark.parametrize(
+    ("section", "own", "others"),
+    [
+        ("hd_diag", ["/hd_diag"], ["/arm/hd_diag"]),
+        ("arm/hd_diag", ["/arm/hd_diag"], ["/hd_diag", "/a/b/hd_diag"]),
+        ("/*/hd_diag", ["/arm/hd_diag"], ["/hd_diag", "/a/b/hd_diag"]),
+        ("/**/hd_diag", ["/hd_diag", "/arm/hd_diag", "/a/b/hd_diag"], ["/hd_dag"]),
+        ("/**", ["/hd_diag", "/a/b/hd_diag"], []),
+        ("/arm/*", ["/arm/hd_diag"], ["/hd_diag", "/leg/hd_diag"]),
+    ],
+)
+def test_sections_are_for_the_nodes_that_ros_gives_them_to(
+    section: str, own: list[str], others: list[str]
+) -> None:
+    """As rclpy of Jazzy was seen to."""
+    assert all(is_for(section, node) for node in own)
+    assert not any(is_for(section, node) for node in others)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "{}: {{ros__parameters: {{a: 1e-6}}}} # as written\n",
+        "{{x: {{}}, {}: {{ros__parameters: {{a: 1e-6}}}}}}",
+    ],
+)
+@pytest.mark.parametrize("name", ["hd_diag", "/hd_diag", '"hd_diag"'])
+def test_a_file_for_any_node_differs_in_the_key_alone(tmp_path: Path, text: str, name: str) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text(text.format(name))
+    assert for_any_node(file) == text.format("'/**'")
 
 
 def test_whole_and_real_numbers_serve_for_each_other() -> None:

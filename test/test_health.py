@@ -75,8 +75,8 @@ def code(status: Status) -> tuple[str, int]:
 # joint exceeds them, how it runs ---
 
 CAUSES = [
-    ("STALE", {"silent": 1.0}, 1, "no valid sample for 1.0 s"),
-    ("STALE", {"silent": 3.0}, 2, "no valid sample for 3.0 s"),
+    ("STALE", {"silent": 1.0}, 1, "no valid sample for 1.0 s: its input arrives no more"),
+    ("STALE", {"silent": 3.0}, 2, "no valid sample for 3.0 s: its input arrives no more"),
     ("INPUT_INVALID", {"broken": 5}, 1, "5 samples rejected: input angle of joint_1_motor is nan"),
     ("INPUT_INVALID", {"broken": 30}, 2, "30 samples rejected: input angle of joint_1_motor is nan"),
     ("OUT_OF_RANGE", {"torque": -123.2}, 1, "torque is 2.20 times the rated torque"),
@@ -158,6 +158,54 @@ def test_a_joint_whose_input_stopped_is_stale_though_its_output_goes_on(life: Li
     life.monitor.mixed_states(stamps, (states(("joint_1",), stamps, np.zeros(1000), np.ones(1000)),))
     life.now = int(stamps[-1])
     assert code(life.report()) == ("STALE", 1)
+
+
+ABSENT = [
+    ({"joint_1_mot": 0.0}, {}, "joint_1_motor does not arrive; the nearest name that does is joint_1_mot"),
+    ({"joint_1": 0.0, "x": 0.0}, {}, "of joint_1_motor nothing arrives, of its output joint_1 alone"),
+    ({"tail": 0.0, "a\nb": 0.0}, {}, "joint_1_motor does not arrive; the names that do are tail, a\\nb"),
+    ({"joint_1_motor": np.nan}, {}, "what comes is rejected: input angle of joint_1_motor is nan"),
+    ({}, {}, "joint_1_motor does not arrive; the names that do are none"),
+    (
+        {"joint_1_mot": 0.0},
+        {"joint_1__input__topic": "motors", "joint_1__input__name": "m1"},
+        "no message has position of motors; m1 does not arrive; the names that do are joint_1_mot",
+    ),
+    (
+        {"joint_1": 0.0},
+        {"absence.joint_1": "nobody publishes /joint_states"},
+        "nobody publishes /joint_states",
+    ),
+]
+
+
+@pytest.mark.parametrize(("position", "given", "why"), ABSENT, ids=[why for *_, why in ABSENT])
+def test_a_stale_joint_says_what_arrives_in_its_place(
+    position: dict[str, float], given: dict[str, str], why: str
+) -> None:
+    """Whenever it came, since the report before or the two before that."""
+    facts = {name: value for name, value in given.items() if name.startswith("absence.")}
+    lenient = {f"joint_1__limits__rejected__{level}": 1.0 for level in ("warn", "error")}
+    life = Life(**lenient, **{name: value for name, value in given.items() if name not in facts})
+    life.report()
+    life.now += SECOND
+    made = states([*position], [life.now], [list(position.values())])
+    life.monitor.mixed_states(np.array([life.now]), (made,))
+    for _ in range(1 if np.nan in position.values() else 3):
+        status = life.report(**facts)
+        assert code(status) == ("STALE", 1)
+        assert status.message.partition(" s: ")[2] == why
+
+
+def test_a_velocity_without_its_output_is_told(life: Life) -> None:
+    life = Life(joint_1__input="velocity")
+    life.report()
+    life.now += SECOND
+    made = states(["joint_1"], [life.now], None, None, [[1.0]])
+    made = made._replace(signals=made.velocity, keys=("joint_1.input",))
+    life.monitor.mixed_states(np.array([life.now]), (made,))
+    said = "its velocity arrives, but no angle of the output from which it could be integrated"
+    assert life.report().message.endswith(said)
 
 
 # Numbers ---

@@ -12,7 +12,14 @@ import yaml
 from live import MS, START, Recording, config, sample
 
 from hd_diag.messages.markers import MARKERS
-from hd_diag.messages.publications import DIAGNOSTICS, JOINT_STATE, MULTI_ARRAY, published_topics, resolved
+from hd_diag.messages.publications import (
+    DIAGNOSTICS,
+    HEADERS,
+    JOINT_STATE,
+    MULTI_ARRAY,
+    published_topics,
+    resolved,
+)
 from hd_diag.messages.schemas import jazzy
 from hd_diag.replay.recorded_monitor import Session
 from hd_diag.watch import PREFIX
@@ -105,7 +112,7 @@ def test_foxglove_plots_are_of_numbers_those_of_teeth_of_each_whole_flank(messag
         by_index = panel["xAxisVal"] == "index"
         assert by_index == all(TOPICS[topic_of(path)] == MULTI_ARRAY for path in paths)
         plotted |= set(map(topic_of, paths))
-    assert plotted == {topic for topic, kind in TOPICS.items() if kind != MARKERS}
+    assert plotted == {topic for topic, kind in TOPICS.items() if kind not in (MARKERS, HEADERS)}
     for what in ("backlash", "load"):
         message = messages[f"/hd_diag/{JOINT}/{what}"]
         parts = [chosen(messages, path["value"]) for path in PANELS[f"Plot!{what}"]["paths"]]
@@ -171,7 +178,9 @@ def test_plotjuggler_curves_are_those_of_real_messages(messages: dict[str, Any])
         assert float(factor[1]) == ARCSEC_PER_RADIAN
     topics = {snippet.findtext("linked_source") for snippet in computed.values()} | curves
     for topic, kind in TOPICS.items():
-        assert (kind == MARKERS) != any(f"{name}/".startswith(f"{topic}/") for name in topics), topic
+        assert (kind in (MARKERS, HEADERS)) != any(f"{name}/".startswith(f"{topic}/") for name in topics), (
+            topic
+        )
 
 
 RVIZ = yaml.safe_load((FOLDER / "rviz.rviz").read_text())["Visualization Manager"]

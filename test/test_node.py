@@ -23,12 +23,13 @@ from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import ListParameters, SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
 from rclpy.serialization import serialize_message
 from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
 from running import LIMIT, Rig, feed, running, stamp_of, values_of
 from sensor_msgs.msg import JointState, Temperature
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, Header
 from visualization_msgs.msg import MarkerArray
 
 from hd_diag.bag import BagReader
@@ -88,6 +89,7 @@ def test_all_topics_with_their_types_and_content(arm: Rig, publisher: Any) -> No
     kinds = dict.fromkeys((f"hd_diag/{topic}" for topic in angles), JointState)
     for joint in JOINTS:
         kinds |= {f"hd_diag/{joint}/{array}": Float64MultiArray for array in ("backlash", "load")}
+        kinds[f"hd_diag/{joint}/stamp"] = Header
         kinds[f"hd_diag/{joint}/mesh"] = MarkerArray
     found = arm.hear(kinds)
     for _ in range(1000):
@@ -111,6 +113,8 @@ def test_all_topics_with_their_types_and_content(arm: Rig, publisher: Any) -> No
         dimensions = [(d.label, d.size, d.stride) for d in array.layout.dim]
         assert dimensions == [("flank", 2, 400), ("tooth", 200, 200)]
         np.testing.assert_array_equal(np.reshape(array.data, (2, 200)), values)
+    header = found["hd_diag/elbow/stamp"][0]
+    assert (header.stamp.sec * 10**9 + header.stamp.nanosec, header.frame_id) == (stamp, "elbow")
     assert {m.header.frame_id for m in found["hd_diag/elbow/mesh"][0].markers} == {"elbow"}
 
 
@@ -409,7 +413,7 @@ def test_log_holds_everything_and_replays(arm: Rig, tmp_path: Path) -> None:
 def test_a_best_effort_publisher_that_appears_later(tmp_path: Path) -> None:
     """Under remapped names, which its log has too; files that hold nothing for the node are named."""
     other, empty, log = (tmp_path / name for name in ("other.yaml", "empty.yaml", "log.mcap"))
-    other.write_text("hd_dag: {ros__parameters: {}}")
+    other.write_text("{hd_dag: {ros__parameters: {}}, hd_diag: {ros__parameters: {}}}")
     empty.touch()
     names = ("joint_states:=robot/js", "joint_1/temperature:=/warmth", "~/residual:=left")
     more = [word for name in names for word in ("-r", name)]
@@ -429,11 +433,29 @@ def test_a_best_effort_publisher_that_appears_later(tmp_path: Path) -> None:
         assert rig.process.end(signal.SIGINT) == 0
         said = rig.process.output()
         assert "best effort" in said
-        assert "other.yaml has no section for hd_diag, but hd_dag" in said
-        assert "empty.yaml has no section for hd_diag, but nothing" in said
+        own = f"{rig.process.namespace}/hd_diag"
+        assert f"other.yaml has no section for {own}, but hd_dag, hd_diag" in said
+        assert f"empty.yaml has no section for {own}, but nothing" in said
     replay(log, tmp_path / "again.mcap")
     assert content(tmp_path / "again.mcap") == content(log)
     assert {f"{rig.process.namespace}/{name}" for name in ("robot/js", "left")} <= content(log).keys()
+
+
+def test_a_configuration_is_read_whatever_the_namespace_and_the_name(tmp_path: Path) -> None:
+    """A word of the command line still wins, and what is said of the file names the file."""
+    given = parameters("elbow", **QUICK, elbow__torque=3.0) | {"use_sim_time": True}
+    more = ("-r", "hd_diag:__node:=watcher", "-p", "elbow.gear.size:=0.0", "-p", "diagnostics_rate:=10.0")
+    with running(tmp_path, given, *more, by_config=True) as rig:
+        (status,) = rig.reports[-1].status
+        assert status.hardware_id == f"{rig.process.namespace}/watcher/elbow"
+        assert "no section" not in rig.process.output()
+        client = AsyncParameterClient(rig.node, f"{rig.process.namespace}/watcher")
+        rig.until(client.services_are_ready, "parameter services")
+        future = client.get_parameters(["elbow.torque", "diagnostics_rate", "use_sim_time"])
+        rig.until(future.done, "answer")
+        torque, rate, simulated = future.result().values
+        assert (torque.double_value, rate.double_value, simulated.bool_value) == (3.0, 10.0, True)
+        assert rig.process.end() == 0
 
 
 def test_simulated_time_that_jumps_back(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from rosbags.highlevel import AnyReader
 import hd_diag
 from hd_diag.bag import BagError, BagReader, BagWriter
 from hd_diag.config.configuration import ConfigError, resolve
-from hd_diag.drive import transmission_error
+from hd_diag.drive import mesh_state, transmission_error
 from hd_diag.messages.publications import JOINT_STATE, STRING, read_string, string
 from hd_diag.messages.schemas import Definition, definition
 from hd_diag.replay import versions
@@ -99,6 +99,18 @@ def test_outputs_are_what_one_computation_gives(log: Path) -> None:
     found = content(log)
     assert len(found["/diagnostics"]) == 3
     assert len(found["/hd_diag/a/backlash"]) == 50
+
+
+def test_every_pair_of_arrays_has_the_stamp_of_its_sample(log: Path) -> None:
+    """A reader of the bag finds the sample by it: what the arrays hold is its mesh."""
+    found = [content(log)[f"/hd_diag/a/{what}"] for what in ("stamp", "backlash", "load")]
+    assert len({tuple(time for time, _ in messages) for messages in found}) == 1
+    for (_, header), (_, backlash), (_, load) in zip(*found, strict=True):
+        sec, nanosec = np.frombuffer(header, np.int32, 2, 4).tolist()
+        (at,) = np.flatnonzero(sec * 10**9 + nanosec == STAMPS)
+        state = mesh_state(DRIVE, ANGLE[[at]], DRIVE.frame.cup_torque(TORQUE[[at]]))
+        for data, values in ((backlash, state.backlash), (load, state.load)):
+            assert_array_equal(np.frombuffer(data[-values.nbytes :]), values.ravel())
 
 
 @pytest.mark.parametrize("way", WAYS)

@@ -18,7 +18,7 @@ def node(config_file: str | None, ros_arguments: tuple[str, ...]) -> int:
     with needing_ros("the node"):
         from hd_diag.ros.node import main as run
     parameter_file = ["--ros-args", "--params-file", config_file, "--"] if config_file else []
-    return run(["hd_diag_node", *parameter_file, *ros_arguments], note_signals())
+    return run(["hd_diag_node", *parameter_file, *ros_arguments], note_signals(), config_file or "")
 
 
 def demo(folder: str | None, seconds: float, json_file: str | None) -> int:

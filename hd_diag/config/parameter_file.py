@@ -12,6 +12,7 @@ import yaml
 from hd_diag.config.json_shape import read_text
 from hd_diag.config.parameters import ROS_PARAMETERS, ConfigError, Value, flatten, nested, shown
 
+_NODE, _EVERY = "hd_diag", "/**"
 _EXPECTED = "expected 'hd_diag: ros__parameters: ...' at the top"
 _INTEGER = re.compile(r"[-+]?(0|[1-9][0-9]*)$")
 _REAL = re.compile(
@@ -57,7 +58,7 @@ def read(path: str | Path) -> dict[str, Any]:
     document = _document(path)
     if not isinstance(document, Mapping):
         raise ConfigError(_EXPECTED)
-    sections = {k: s for k, s in document.items() if str(k).rsplit("/", 1)[-1] in ("hd_diag", "**", "*")}
+    sections = {k: s for k, s in document.items() if str(k).rsplit("/", 1)[-1] in (_NODE, "**", "*")}
     if not sections:
         raise ConfigError(_EXPECTED)
     flat: dict[str, Any] = {}
@@ -76,6 +77,27 @@ def sections(path: str | Path) -> list[Any]:
     if not isinstance(document, Mapping):
         raise ConfigError(_EXPECTED)
     return list(document)
+
+
+def for_any_node(path: str | Path) -> str:
+    """The text of a file in which the section of ``hd_diag`` is that of every node, ``/**``.
+
+    All else stays as it is written. Raises ConfigError where it is no YAML of ROS.
+    """
+    sections(path)
+    text = read_text(Path(path), "parameter file")
+    document = yaml.compose(text, _Loader)
+    for key, _ in reversed(document.value if document else []):
+        if str(key.value).strip("/") == _NODE:
+            text = f"{text[: key.start_mark.index]}{_EVERY!r}{text[key.end_mark.index :]}"
+    return text
+
+
+def is_for(section: str, node: str) -> bool:
+    """Whether ROS gives a section of a file to a node by its full name: ``*`` is one name, ``**`` any."""
+    parts = section.strip("/").split("/")
+    pattern = "".join({"**": r"(/\w+)*", "*": r"/\w+"}.get(part, f"/{re.escape(part)}") for part in parts)
+    return re.fullmatch(pattern, node) is not None
 
 
 def parse_value(text: str) -> Any:
@@ -106,5 +128,5 @@ def _reason(error: Exception) -> str:
 
 def text(flat: Mapping[str, Value]) -> str:
     """The text of a parameter file with these values."""
-    written: str = yaml.safe_dump({"hd_diag": {"ros__parameters": nested(flat)}}, sort_keys=False)
+    written: str = yaml.safe_dump({_NODE: {"ros__parameters": nested(flat)}}, sort_keys=False)
     return written

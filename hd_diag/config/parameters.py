@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import difflib
 import json
 import math
 import re
@@ -12,6 +11,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from hd_diag.streams.signals import nearest
 
 Value = Any
 """bool, int, float, str, or a list of numbers or texts: once checked, in its parameter's own type."""
@@ -128,11 +129,12 @@ def nested(flat: Mapping[str, Value]) -> dict[str, Any]:
 def check_known(
     names: Iterable[str], known: Iterable[str], what: str = "unknown parameter", hint: str = ""
 ) -> None:
-    """Raise ConfigError naming the first unknown one of some names, and the nearest known."""
+    """Raise ConfigError naming the first unknown one of some names, and the nearest known if one is near."""
     for name in names:
         if name not in known:
-            near = difflib.get_close_matches(name[:_LONGEST_TEXT], known, n=1, cutoff=0.0)
-            raise ConfigError(f"{what} {shown(name)}; the nearest known is '{near[0]}'{hint}")
+            near = nearest(str(name), known)
+            told = f"; the nearest known is '{near}'" if near else ", and none that is known is like it"
+            raise ConfigError(f"{what} {shown(name)}{told}{hint}")
 
 
 def joint_names(value: Any) -> list[str]:

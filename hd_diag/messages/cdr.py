@@ -29,6 +29,7 @@ class Walk:
         self.data, self._store = data, store
         self._uint32 = struct.Struct("<I" if data[1] else ">I").unpack_from
         self.fixed: list[tuple[int, int]] = []
+        self.names: list[str] = []
 
     def message(self, type_name: str, begin: int) -> tuple[dict[str, tuple[Any, int]], int]:
         """Fields of a message with their descriptions and begins, and its end."""
@@ -112,7 +113,8 @@ class Walk:
         """A text by which an element is found, and its end."""
         begin, end = self.text(begin)
         self.fixed.append((begin, end))
-        return self.data[begin:end].rstrip(b"\0").decode("utf-8", "replace"), end
+        self.names.append(self.data[begin:end].rstrip(b"\0").decode("utf-8", "replace"))
+        return self.names[-1], end
 
     def _named(
         self, name: str, fields: Mapping[str, tuple[Any, int]], element: Any, count: int, begin: int

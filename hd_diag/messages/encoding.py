@@ -61,6 +61,17 @@ def encode_joint_states(
     return rows.view(np.uint8)
 
 
+def encode_headers(stamps: npt.ArrayLike, frame_id: str) -> Bytes:
+    """std_msgs/Header messages, shape (n, size): times [ns] (n,) and what they belong to."""
+    time, body = np.asarray(stamps, np.int64), text(frame_id, 1)
+    rows = np.empty(
+        time.size, [("head", "V4"), ("sec", "<i4"), ("nanosec", "<u4"), ("frame", f"V{len(body)}")]
+    )
+    rows["head"], rows["frame"] = np.void(HEADER), np.void(body)
+    rows["sec"], rows["nanosec"] = np.divmod(time, 1_000_000_000)
+    return rows.view(np.uint8).reshape(time.size, rows.itemsize)
+
+
 def warm_up() -> None:
     """Compile now, or read from the disk, what writes and reads JointState messages."""
     rows = encode_joint_states(["a"], [0], [[0.0]])

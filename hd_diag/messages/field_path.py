@@ -77,8 +77,9 @@ def path_in(store: Typestore, type_name: str, signal: Signal) -> Path:
     for number, (field, given) in enumerate(steps, start=1):
         fields = dict(store.fielddefs[owner][1])
         if field not in fields:
-            near = f"the nearest is {nearest(field, list(fields))!r}, of {', '.join(fields)}"
-            raise ValueError(f"{owner} has no field {field!a}; {near}")
+            near = nearest(field, fields)
+            told = f"the nearest is {near!r}, of" if near else "it has"
+            raise ValueError(f"{owner} has no field {field!a}; {told} {', '.join(fields)}")
         (kind, what), index = _element(store, owner, PathStep(field, given), signal.name)
         path.append(PathStep(field, index))
         is_last = number == len(steps)

@@ -20,7 +20,7 @@ from hd_diag.messages.joint_states import Rejection
 from hd_diag.streams.columns import JointStates
 from hd_diag.streams.signals import Signal
 
-_REMEMBERED = 64  # layouts
+_REMEMBERED, _NAMES = 64, 256  # layouts, names
 _FIRST = np.zeros(1, np.int64)
 _NANOSECONDS = 1_000_000_000
 _CODES = dict(zip(("i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f4", "f8"), "bhiqBHIQfd", strict=True))
@@ -56,6 +56,11 @@ class FieldReader:
     ------
     ValueError
         Where the type has no number at a signal's path; it names the nearest field.
+
+    Attributes
+    ----------
+    names : list of str
+        Among which an element was looked for by its name, in the last messages of another layout.
     """
 
     def __init__(self, store: Typestore, type_name: str, signals: Mapping[str, Signal]) -> None:
@@ -64,6 +69,7 @@ class FieldReader:
         self._paths = {key: path_in(store, type_name, signal) for key, signal in signals.items()}
         self._stamp = stamp_path(store, type_name)
         self._layouts: dict[int, list[_Layout]] = {}
+        self.names: list[str] = []
 
     def columns(
         self, payload: Bytes | Sequence[bytes | memoryview], received: Times
@@ -124,6 +130,7 @@ class FieldReader:
         walk.message(self._type_name, 4)
         found = {key: walk.place(self._type_name, path) for key, path in self._paths.items()}
         numbers = {key: place for key, place in found.items() if place is not None}
+        self.names = [*dict.fromkeys(walk.names)][:_NAMES]
         stamp: tuple[int, ...] = ()
         if self._stamp is not None:
             parts = [

@@ -11,13 +11,20 @@ import numpy as np
 
 from hd_diag.arrays import Bytes, Times
 from hd_diag.config.configured_signals import TEMPERATURE as TEMPERATURE
-from hd_diag.messages.encoding import HEADER, encode_float64_multiarray, encode_joint_states, text
+from hd_diag.messages.encoding import (
+    HEADER,
+    encode_float64_multiarray,
+    encode_headers,
+    encode_joint_states,
+    text,
+)
 from hd_diag.messages.joint_states import JOINT_STATE as JOINT_STATE
 from hd_diag.messages.markers import MARKERS, drawing, marker_array
 from hd_diag.messages.schemas import deserialize, jazzy, serialize
-from hd_diag.monitor.publications import Angles, Drawings, Publication, Report, ToothArrays
+from hd_diag.monitor.publications import Angles, Drawings, Publication, Report, Stamps, ToothArrays
 from hd_diag.streams.columns import LARGEST_TEMPERATURE
 
+HEADERS = "std_msgs/msg/Header"
 MULTI_ARRAY = "std_msgs/msg/Float64MultiArray"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 STRING = "std_msgs/msg/String"
@@ -53,10 +60,12 @@ def encode(publication: Publication, node: str = "/hd_diag") -> Encoded:
     return Encoded(publication.topic, kind, publication.received, encoded)
 
 
-def _rows(publication: Angles | ToothArrays | Drawings) -> tuple[str, Bytes | list[bytes]]:
+def _rows(publication: Angles | Stamps | ToothArrays | Drawings) -> tuple[str, Bytes | list[bytes]]:
     if isinstance(publication, Angles):
         _, _, stamp, names, position, effort = publication
         return JOINT_STATE, encode_joint_states(names, stamp, position, None, effort)
+    if isinstance(publication, Stamps):
+        return HEADERS, encode_headers(publication.stamp, publication.joint)
     if isinstance(publication, ToothArrays):
         dims = ("flank", 2), ("tooth", publication.values.shape[2])
         return MULTI_ARRAY, encode_float64_multiarray(dims, publication.values)
@@ -67,6 +76,7 @@ def published_topics(joints: Sequence[str]) -> dict[str, str]:
     """Topics that a monitor of these joints publishes on, with their types."""
     topics = dict.fromkeys((f"~{end}" for end in OWN_OUTPUTS), JOINT_STATE) | {"/diagnostics": DIAGNOSTICS}
     for joint in joints:
+        topics[f"~/{joint}/stamp"] = HEADERS
         topics |= {f"~/{joint}/{what}": MULTI_ARRAY for what in ("backlash", "load")}
         topics[f"~/{joint}/mesh"] = MARKERS
     return topics

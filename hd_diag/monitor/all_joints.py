@@ -18,7 +18,7 @@ from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.monitor.comparison import Comparison
 from hd_diag.monitor.health import status
 from hd_diag.monitor.joint import Joint, Window
-from hd_diag.monitor.publications import Drawings, Publication, Report, ToothArrays, angles
+from hd_diag.monitor.publications import Drawings, Publication, Report, Stamps, ToothArrays, angles
 from hd_diag.monitor.settings import MonitorConfig
 from hd_diag.streams.alignment import Aligned, Alignment, kernel
 from hd_diag.streams.columns import LARGEST_TEMPERATURE, JointStates
@@ -127,8 +127,8 @@ class Monitor:
         """
         silent = self.silence(now) if silence is None else silence
         pairs = zip(self.joints.values(), self._windows(), strict=True)
-        foreign = self.streams.foreign
-        statuses = [status(j, own, silent.get(j.config.name, math.nan), facts, foreign) for j, own in pairs]
+        streams = self.streams
+        statuses = [status(j, own, silent.get(j.config.name, math.nan), facts, streams) for j, own in pairs]
         return Report("/diagnostics", now, stamp, tuple(statuses), facts, silent)
 
     def begin_window(self) -> None:
@@ -141,6 +141,7 @@ class Monitor:
         kept = self._comparison.kept
         windows = [joint.window(kept[kept["joint"] == n]) for n, joint in enumerate(self.joints.values())]
         self._comparison.count = self._comparison.followed = 0
+        self.streams.turn()
         return windows
 
     def _follow(self) -> None:
@@ -189,6 +190,7 @@ class Monitor:
                     shown = own.input_angle, state.load, state.torsion, full
                     yield Drawings(f"{topic}/mesh", at, own.stamp, joint.name, drive, *shown)
                 else:
+                    yield Stamps(f"{topic}/stamp", at, own.stamp, joint.name)
                     yield ToothArrays(f"{topic}/backlash", at, state.backlash)
                     yield ToothArrays(f"{topic}/load", at, state.load)
 

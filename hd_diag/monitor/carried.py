@@ -24,6 +24,7 @@ def carried(monitor: Monitor) -> dict[str, Any]:
         "streams": [_text(array) for array in streams.state],
         "last_rejections": streams.texts,
         "foreign": streams.foreign,
+        "arrived": [[*each] for each in streams.before],
         "periods": monitor.periods.tolist(),
         "joints": {name: _of_joint(joint) for name, joint in monitor.joints.items()},
     }
@@ -63,6 +64,7 @@ def _put(monitor: Monitor, state: Mapping[str, Any]) -> None:
     for name, joint in monitor.joints.items():
         _put_joint(joint, state["joints"][name])
     monitor.begin_window()
+    streams.before = [{_pair(pair): None for pair in times} for times in state.get("arrived", ())]
 
 
 def _of_joint(joint: Joint) -> dict[str, Any]:
@@ -73,6 +75,13 @@ def _of_joint(joint: Joint) -> dict[str, Any]:
         "orders": [_text(array) for array in orders.state],
         "runs": [run.carried for run in joint.runs],
     }
+
+
+def _pair(pair: Any) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names and keys of messages; TypeError where they are no texts."""
+    names, keys = pair
+    "".join([*names, *keys])
+    return tuple(names), tuple(keys)
 
 
 def _put_joint(joint: Joint, state: Mapping[str, Any]) -> None:

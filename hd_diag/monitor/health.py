@@ -16,9 +16,11 @@ from hd_diag.extended_model import Range
 from hd_diag.formatting import visible
 from hd_diag.gear.characteristics import ToothLoads, tooth_loads
 from hd_diag.model.torsion_map import ARCSEC
+from hd_diag.monitor.absence import absence, absence_of
 from hd_diag.monitor.joint import Joint, Window
 from hd_diag.monitor.publications import Status
 from hd_diag.monitor.residual_orders import Order
+from hd_diag.streams.alignment import Alignment
 
 FAULT_CODES = (
     "LOG_FAILED",
@@ -70,19 +72,22 @@ _SURROUNDINGS = {
 Fault = tuple[str, int, str]
 
 
-def status(joint: Joint, window: Window, silence: float, facts: Mapping[str, str], foreign: int) -> Status:
+def status(
+    joint: Joint, window: Window, silence: float, facts: Mapping[str, str], streams: Alignment
+) -> Status:
     """Status of a joint by what happened since the last report.
 
     It has the fault code of the worst finding, and numbers in the units that their keys name. `silence` is
-    the time since the joint's last input [s], `facts` is what the surroundings know, `foreign` how many
-    messages named none of the joints.
+    the time since the joint's last input [s], `facts` is what the surroundings know.
     """
     config, state, residuals = joint.config, joint.state, window.residual
     angle, torque = (state["angle"], state["load"]) if joint.samples else (math.nan, math.nan)
     rms = float(np.std(residuals)) if residuals.size > 1 else math.nan
     orders, mesh, loads = joint.orders.known(), _mesh(joint), tooth_loads(config.drive)
     order = max(orders, key=lambda order: (order.repeats, order.amplitude), default=Order())
-    faults = _faults(joint, window, silence, facts, rms, mesh) + _model_faults(joint, window)
+    why = facts.get(absence_of(config.name)) or absence(joint, window, streams.before)
+    stale = f"no valid sample for {silence:.1f} s: {why}"
+    faults = _faults(joint, window, (silence, stale), facts, rms, mesh) + _model_faults(joint, window)
     faults += _order_faults(joint, orders)
     faults = [*(fault for fault in faults if fault[1]), ("OK", 0, "OK")]
     code, level, message = max(faults, key=lambda fault: (fault[1], -FAULT_CODES.index(fault[0])))
@@ -120,7 +125,7 @@ def status(joint: Joint, window: Window, silence: float, facts: Mapping[str, str
         "samples_missed": str(joint.lost.count),
         "outputs_unpaired": str(state["unpaired"]),
         "clock_jumps": str(state["clock_jumps"]),
-        "messages_without_joint": str(foreign),
+        "messages_without_joint": str(streams.foreign),
         "silence_s": silence,
         **{name: facts.get(name, usual) for name, usual in _SURROUNDINGS.items()},
     }
@@ -131,7 +136,7 @@ def status(joint: Joint, window: Window, silence: float, facts: Mapping[str, str
 def _faults(
     joint: Joint,
     window: Window,
-    silence: float,
+    silence: tuple[float, str],
     facts: Mapping[str, str],
     residual: float,
     mesh: Mapping[str, float],
@@ -141,7 +146,7 @@ def _faults(
     share = window.rejected / seen if seen else 0.0
     torque = abs(joint.state["load"]) / joint.config.drive.rated_torque if has_samples else 0.0
     judged = [
-        ("STALE", "silence", silence, f"no valid sample for {silence:.1f} s"),
+        ("STALE", "silence", *silence),
         ("INPUT_INVALID", "rejected", share, f"{window.rejected} samples rejected: {joint.last_rejection}"),
         ("OUT_OF_RANGE", "torque", torque, f"torque is {torque:.2f} times the rated torque"),
     ]

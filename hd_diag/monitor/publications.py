@@ -26,6 +26,15 @@ class Angles(NamedTuple):
     effort: Floats | None
 
 
+class Stamps(NamedTuple):
+    """Which samples arrays are of: topic, time of the cause [ns] (n,), stamp [ns] (n,), the joint."""
+
+    topic: str
+    received: Times
+    stamp: Times
+    joint: str
+
+
 class ToothArrays(NamedTuple):
     """Per-tooth values to publish: topic, time of the cause [ns] (n,), values (n, 2, Z_R), flanks (+, -)."""
 
@@ -77,7 +86,7 @@ class Report(NamedTuple):
     silence: Mapping[str, float] = {}
 
 
-Publication = Angles | ToothArrays | Drawings | Report
+Publication = Angles | Stamps | ToothArrays | Drawings | Report
 
 
 def angles(received: Times, errors: Errors, names: Sequence[str]) -> Iterator[Angles]:

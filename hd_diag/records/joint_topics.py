@@ -30,7 +30,8 @@ class JointTopics:
     Attributes: `readers` by topic; `types` of these topics and of the temperatures'; `temperatures`, the
     joints of topics with temperatures in a type of their own.
 
-    Raises BagError where a topic is missing, or has no such field; it names what there is.
+    Raises BagError where a topic is missing, or has no such field; it names what there is. A log, which gives
+    `names`, may lack topics on which nothing came.
     """
 
     def __init__(
@@ -48,8 +49,7 @@ class JointTopics:
             for role, signal in zip(ROLES, own, strict=True):
                 if signal is not None and not signal.topic:
                     anywhere[key(joint, role)] = signal
-                elif signal is not None:
-                    topic = self._find(joint, signal)
+                elif signal is not None and (topic := self._find(joint, signal)):
                     topics.setdefault(topic, {})[key(joint, role)] = signal
                     self.types[topic] = signal.type_name
         usual = self._usual(topics, signals) if usual is None else usual
@@ -80,12 +80,14 @@ class JointTopics:
         return shapes, refused
 
     def _find(self, joint: str, signal: Signal) -> str:
-        """Name that the bag has for a signal's topic."""
+        """Name that the bag has for a signal's topic; empty where nothing came on it to a node's log."""
         wanted = self._names.get(signal.topic, signal.topic)
         end = "/" + wanted.lstrip("/")
         known = [t for t in self._bag.topics if t.name == wanted] or [
             t for t in self._bag.topics if t.name.endswith(end)
         ]
+        if not known and self._names:
+            return ""
         if not known:
             foreign = [t for t in self._bag.foreign if t.name == wanted or t.name.endswith(end)]
             what = (

@@ -2,32 +2,54 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+import tempfile
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 from rclpy.utilities import remove_ros_args
 
 from hd_diag.config.configuration import ConfigError, load
-from hd_diag.config.parameter_file import sections
+from hd_diag.config.parameter_file import for_any_node, sections
 
 
 class UsageError(Exception):
     """Arguments that cannot be used; the text is one line."""
 
 
-def check_arguments(arguments: Sequence[str]) -> dict[str, list[Any]]:
-    """Sections of each parameter file; raises UsageError for words and files that cannot be used."""
+def check_arguments(arguments: Sequence[str], config_file: str = "") -> dict[str, list[str]]:
+    """Sections of each parameter file; raises UsageError for words and files that cannot be used.
+
+    That of the configuration, which is read in every namespace, counts as for any node.
+    """
     unknown = remove_ros_args(list(arguments))[1:]
     if unknown:
         raise UsageError(f"unknown arguments: {' '.join(unknown)} (those for ROS stand behind --ros-args)")
     found = {}
     for file in parameter_files(arguments):
         try:
-            found[str(file)] = sections(file)
+            found[str(file)] = [str(name) for name in sections(file)]
         except ConfigError as error:
             raise UsageError(f"{file}: {error}") from error
+    if config_file:
+        found[config_file] = ["/**" if name.strip("/") == "hd_diag" else name for name in found[config_file]]
     return found
+
+
+@contextlib.contextmanager
+def read_in_every_namespace(arguments: Sequence[str], config_file: str) -> Iterator[list[str]]:
+    """The arguments with a copy of the configuration that ROS takes for this node, whatever it is called.
+
+    Of a section ``hd_diag`` it would take nothing, without a word, where the node has a namespace or another
+    name.
+    """
+    if not config_file:
+        yield [*arguments]
+        return
+    with tempfile.NamedTemporaryFile("w", encoding="utf-8", prefix="hd_diag_", suffix=".yaml") as copy:
+        copy.write(for_any_node(config_file))
+        copy.flush()
+        yield [copy.name if word == config_file else word for word in arguments]
 
 
 def parameter_files(arguments: Sequence[str]) -> list[Path]:

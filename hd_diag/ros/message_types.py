@@ -26,7 +26,7 @@ def message_class(type_name: str) -> Any:
         raise ConfigError(f"{type_name} is not installed here: {error}") from error
     if not hasattr(module, name):
         near = nearest(name, [n for n in vars(module) if n[:1].isupper()])
-        raise ConfigError(f"{package} has no message {name}; the nearest is {near}")
+        raise ConfigError(f"{package} has no message {name}{near and f'; the nearest is {near}'}")
     return getattr(module, name)
 
 

@@ -27,6 +27,7 @@ from rclpy.utilities import ok, try_shutdown
 from hd_diag.bag import RELIABLE
 from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.config.json_shape import reader
+from hd_diag.config.parameter_file import is_for
 from hd_diag.formatting import visible
 from hd_diag.gear.characteristics import tooth_loads
 from hd_diag.memory import give_back, map_large_arrays
@@ -35,7 +36,8 @@ from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.replay.map_builder import MapBuilder
 from hd_diag.replay.preparation import compile_apart, prepare
 from hd_diag.replay.recorded_monitor import Session
-from hd_diag.ros.arguments import check_arguments, parameter_files, reason
+from hd_diag.ros.absences import absences
+from hd_diag.ros.arguments import check_arguments, parameter_files, read_in_every_namespace, reason
 from hd_diag.ros.log_writer import LogWriter
 from hd_diag.ros.message_types import definition_of
 from hd_diag.ros.parameter_server import ParameterServer
@@ -97,9 +99,10 @@ class DiagnosticNode(Node):
         self._build_maps(config.joints)
         self._next_report = self._next_look = time.monotonic()
         self._waiting = Waiting()
+        self._readers = [source.reader() for source in self._sources]
         self._inputs = [
-            SignalInput(self, source, partial(self._waiting.put, source, source.reader()))
-            for source in self._sources
+            SignalInput(self, source, partial(self._waiting.put, source, reader))
+            for source, reader in zip(self._sources, self._readers, strict=True)
         ]
         self._seen = Publishers(self, self._inputs)
         self._told_lost, self._busy, self._drained, self._paced = 0, 0.0, 0.0, 0.0
@@ -156,15 +159,13 @@ class DiagnosticNode(Node):
         if self._waiting:
             self._on_signals(*self._waiting.get())
 
-    def warn_of_files(self, sections: Mapping[str, Sequence[Any]]) -> None:
+    def warn_of_files(self, sections: Mapping[str, Sequence[str]]) -> None:
         """Warn of parameter files with no section for this node, which ROS takes without a word."""
-        names = {self.get_name(), self.get_fully_qualified_name(), "**", "*"}
+        own = self.get_fully_qualified_name()
         for file, given in sections.items():
-            if not {str(name).rsplit("/", 1)[-1] for name in given} & names:
-                others = ", ".join(sorted(map(str, given))) or "nothing"
-                self.get_logger().warning(
-                    visible(f"{file} has no section for {self.get_name()}, but {others}")
-                )
+            if not any(is_for(name, own) for name in given):
+                others = ", ".join(sorted(given)) or "nothing"
+                self.get_logger().warning(visible(f"{file} has no section for {own}, but {others}"))
 
     def close(self) -> None:
         """Report once more and finish the log."""
@@ -236,6 +237,7 @@ class DiagnosticNode(Node):
             "messages_lost": str(lost),
             "warning": "; ".join(faults),
             "array_share": f"{self._session.monitor.share:.6g}",
+            **absences(self, [*zip(self._inputs, self._readers, strict=True)], self._session.config.joints),
         }
         silence = self._session.monitor.silence(time.monotonic_ns())
         self._session.tick(self._now(), self.get_clock().now().nanoseconds, facts, silence)
@@ -291,30 +293,34 @@ class DiagnosticNode(Node):
         self._next_report = min(self._next_report, time.monotonic() + 1.0 / config.diagnostics_rate)
 
 
-def main(args: Sequence[str] | None = None, stopped: Sequence[int] | None = None) -> int:
+def main(
+    args: Sequence[str] | None = None, stopped: Sequence[int] | None = None, config_file: str = ""
+) -> int:
     """Run the node until SIGINT or SIGTERM, with a command line as that of the process.
 
+    One of its parameter files may be the configuration, which is read whatever the node is called.
     Signals may be noted already: rclpy's own handlers would break into the writing of the log. Gives the exit
     code: 0 after a signal, 2 where the arguments or the configuration cannot be used.
     """
     arguments = list(sys.argv if args is None else args)
     stopped = note_signals() if stopped is None else stopped
-    code = 0 if stopped else _run(arguments, stopped)
+    code = 0 if stopped else _run(arguments, stopped, config_file)
     ignore_signals()
     return code
 
 
-def _run(arguments: list[str], stopped: Sequence[int]) -> int:
+def _run(arguments: list[str], stopped: Sequence[int], config_file: str) -> int:
     if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
         os.environ.setdefault("RCUTILS_COLORIZED_OUTPUT", "0")  # ROS asks neither
     set_logger_level("rcl", LoggingSeverity.FATAL)  # what it says of a faulty file is said below, better
     try:
-        sections = check_arguments(arguments)
+        sections = check_arguments(arguments, config_file)
         map_large_arrays()
         compile_apart(stopped, get_logger("hd_diag").info)
         if stopped:
             return 0
-        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        with read_in_every_namespace(arguments, config_file) as words:
+            rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
         set_logger_level("rcl", LoggingSeverity.UNSET)
         node = DiagnosticNode([file.parent for file in parameter_files(arguments)])
     except Exception as error:

@@ -9,18 +9,24 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.parameter_service import ParameterService
 
 from hd_diag.config.configuration import Config, ConfigError, ModelText, resolve
-from hd_diag.config.parameters import ROS_PARAMETERS, ContentError, Parameter, parameters
+from hd_diag.config.parameters import ROS_PARAMETERS, SIGNALS, ContentError, Parameter, parameters
 from hd_diag.formatting import visible
 
 # How long a model file may take to be read [s]: samples wait meanwhile, in the subscription's queue.
 _PATIENCE, _PATIENCE_AT_START = 0.25, 10.0
 _LONGEST_REASON = 2000  # characters
+_MAPPINGS = (*SIGNALS, "output_joint")  # how a joint's parameters begin that say where its signals stand
 
 
 class ParameterServer:
@@ -63,7 +69,7 @@ class ParameterServer:
         """
         for parameter in changed:
             if parameter.name in self._known and _is_fixed(parameter.name):
-                raise ConfigError(f"{parameter.name}: is fixed when the node starts (read-only)")
+                raise ConfigError(_why_fixed(parameter.name))
         self._next = self._candidate(changed)
         asked, before = {parameter.name for parameter in changed}, self.config.flat
         following = {n: v for n, v in self._next.flat.items() if v != before[n] and n not in asked}
@@ -86,9 +92,6 @@ class ParameterServer:
             candidate = resolve({**self.config.given, **own}, model_text)
         except ContentError as error:  # it may be any file that the node can read
             raise ConfigError(error.discreet) from error
-        for before, after in zip(self.config.joints, candidate.joints, strict=True):
-            if after.signals != before.signals:
-                raise ConfigError(f"{after.name}: where its signals stand is read when the node starts")
         return candidate
 
     def _read(self, joint: str, path: str, patience: float) -> str:
@@ -137,13 +140,20 @@ class _Services(ParameterService):
 
 
 def _descriptor(name: str, spec: Parameter) -> ParameterDescriptor:
+    """What tools show of a parameter: a range as a slider, else as text; choices."""
     limits = f"{spec.low:g} to {spec.high:g}" if np.isfinite([spec.low, spec.high]).all() else ""
-    return ParameterDescriptor(
+    descriptor = ParameterDescriptor(
+        name=name,
         description=f"{spec.meaning}{f' [{spec.unit}]' if spec.unit else ''}",
-        dynamic_typing=True,  # an integer for a number is welcome: `_validate` checks
+        dynamic_typing=True,  # an integer for a number is welcome: `_checked` looks at it
         additional_constraints="one of " + ", ".join(spec.choices) if spec.choices else limits,
         read_only=_is_fixed(name),
     )
+    if limits and isinstance(spec.default, int):
+        descriptor.integer_range = [IntegerRange(from_value=int(spec.low), to_value=int(spec.high), step=1)]
+    elif limits and isinstance(spec.default, float):
+        descriptor.floating_point_range = [FloatingPointRange(from_value=spec.low, to_value=spec.high)]
+    return descriptor
 
 
 def _as_declared(parameter: RosParameter, spec: Parameter | None) -> RosParameter:
@@ -154,9 +164,21 @@ def _as_declared(parameter: RosParameter, spec: Parameter | None) -> RosParamete
     return RosParameter(parameter.name, RosParameter.Type.DOUBLE, float(parameter.value))
 
 
+def _why_fixed(parameter: str) -> str:
+    joint, _, own = parameter.partition(".")
+    if own.startswith(_MAPPINGS):
+        return f"{joint}: where its signals stand is read when the node starts"
+    return f"{parameter}: is fixed when the node starts (read-only)"
+
+
 def _is_fixed(parameter: str) -> bool:
-    """Whether a parameter is read when the node starts, and not after."""
-    return parameter == "joints" or parameter.startswith("log.")
+    """Whether a parameter is read when the node starts, and not after.
+
+    So are all that say where a joint's signals stand: topics are subscribed to at the start, and a log is
+    replayed by the names with which it begins.
+    """
+    is_mapping = parameter.partition(".")[2].startswith(_MAPPINGS)
+    return is_mapping or parameter == "joints" or parameter.startswith("log.")
 
 
 def _is_own(parameter: str) -> bool:

@@ -7,12 +7,13 @@ from collections.abc import Sequence
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, Header
 from visualization_msgs.msg import MarkerArray
 
 from hd_diag.messages.markers import MARKERS
 from hd_diag.messages.publications import (
     DIAGNOSTICS,
+    HEADERS,
     INPUT,
     JOINT_STATE,
     MULTI_ARRAY,
@@ -24,6 +25,7 @@ from hd_diag.ros.log_writer import LogWriter
 
 _CLASSES = {
     JOINT_STATE: JointState,
+    HEADERS: Header,
     MULTI_ARRAY: Float64MultiArray,
     DIAGNOSTICS: DiagnosticArray,
     MARKERS: MarkerArray,

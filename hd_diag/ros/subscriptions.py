@@ -90,12 +90,13 @@ def _signals(config: Config) -> Iterator[tuple[str, str, Signal]]:
 class SignalInput:
     """Reliable subscription to a topic, in CDR; best effort once a publisher offers no more.
 
-    At most `depth` messages wait in DDS; `lost` counts those that DDS says were lost.
+    At most `depth` messages wait in DDS; `lost` counts those that DDS says were lost. The last was `heard` at
+    a time on the monotonic clock [s], or else the subscription was made then.
     """
 
     def __init__(self, node: Node, source: SignalTopic, take: Callable[[bytes], None]) -> None:
         self.source = source
-        self.depth, self.lost = INPUT_DEPTH, 0
+        self.depth, self.lost, self.heard = INPUT_DEPTH, 0, time.monotonic()
         self._node, self._take = node, take
         self._wanted = self._offered = ReliabilityPolicy.RELIABLE
         self._largest = 1
@@ -132,7 +133,7 @@ class SignalInput:
             return self._node.create_subscription(*own, profile, event_callbacks=events, raw=True)
 
     def _on_message(self, data: bytes) -> None:
-        self._largest = max(self._largest, len(data))
+        self._largest, self.heard = max(self._largest, len(data)), time.monotonic()
         self._take(data)
 
     def _on_lost(self, event: Any) -> None:

@@ -46,6 +46,9 @@ from hd_diag.streams.rules import (
 _CONFIGURED = ["assumed_torque", "input_factor", "velocity_ratio", "input_counter", "output_counter"]
 _LAYOUTS = 64  # of messages, whose columns are remembered
 
+Arrived = dict[tuple[tuple[str, ...], tuple[str, ...]], None]
+"""Names and keys of messages, each pair once, in the order in which they came."""
+
 ELSEWHERE = "-"
 """Key of a signal that no message gives."""
 
@@ -107,7 +110,8 @@ class Alignment:
 
     Of each joint so many inputs are `remembered` for outputs, and so many outputs may wait. `joints` (k,) are
     records of `JOINT`, `encoders` (k, 2) of `ENCODER`, of input and output; `texts` reasons that were given
-    to `reject`; `foreign` counts messages that name none of the joints.
+    to `reject`; `foreign` counts messages that name none of the joints. `arrived` are names and keys of
+    messages since `turn`; `before` those of the time before, and of the last two times with any.
     """
 
     def __init__(self, names: Sequence[Names], remembered: int = REMEMBERED) -> None:
@@ -120,6 +124,9 @@ class Alignment:
         self.encoders = unseen(2 * len(names)).reshape(-1, 2)
         self._columns: dict[Any, _Columns] = {}
         self.foreign = 0
+        self.arrived: Arrived = {}
+        self.before: list[Arrived] = []
+        self._last: _Columns | None = None
         self.joints[_CONFIGURED][:] = [(each.torque, *each[4:]) for each in names]
         kernel().begin_after(self.joints, NEVER - 1)
 
@@ -153,6 +160,11 @@ class Alignment:
                 self.texts[number] = f"a message {dict(refused)[self.joints['reason_late'][number]]}"
                 self.joints["reason"][number] = Reason.OTHER
         return Aligned(*whole, *found)
+
+    def turn(self) -> None:
+        """Let `arrived` begin anew."""
+        self.before = [*[each for each in self.before if each][-2:], self.arrived]
+        self.arrived, self._last = {}, None
 
     def clock_set_back(self, stamp: int) -> None:
         """Restart the streams of joints whose last stamp is after `stamp` [ns]: the clock was set back."""
@@ -212,6 +224,9 @@ class Alignment:
             if len(self._columns) >= _LAYOUTS:
                 self._columns.clear()
             found = self._columns[key] = self._find(states)
+        if found is not self._last and len(self.arrived) < _LAYOUTS:
+            self._last = found
+            self.arrived[states.names, states.keys] = None
         if found.is_foreign:
             self.foreign += states.stamp.size
         return found

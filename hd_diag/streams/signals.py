@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import difflib
+import functools
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -22,6 +23,8 @@ _ANGLES = {"rad": 1.0, "deg": _TURN / 360.0, "turns": _TURN}
 _COUNTS = re.compile(r"counts/(\d+(?:\.\d+)?)")
 _ZERO_CELSIUS = 273.15  # [K]
 _COUNTER = 2.0**16  # counts after which a small counter begins anew
+_ALIKE = 0.6  # of difflib's ratio, from which it calls words close
+_LONGEST = 80  # characters of a name that are compared
 
 
 class Unit(NamedTuple):
@@ -149,6 +152,28 @@ def temperature_changes(shapes: Sequence[JointStates]) -> Integers:
     return np.unique(np.concatenate([np.empty(0, np.int64), *rows]))
 
 
-def nearest(name: str, known: list[str]) -> str:
-    """The most similar of some names, the first of them where none is; empty where there are none."""
-    return next(iter(difflib.get_close_matches(name, known, n=1, cutoff=0.0)), "")
+def nearest(name: str, known: Iterable[str]) -> str:
+    """The name of some that may be meant by another; empty where none is like it.
+
+    Names with dots are alike where their parts are: all of those given, or else the last of them.
+    """
+    every, parts = [*known], name[:_LONGEST].casefold().split(".")
+    likeness = functools.cache(_likeness)
+    for wanted in (parts, parts[-1:]):
+        found = {each: _fit(wanted, each.casefold().split("."), likeness) for each in every}
+        best = max(found.values(), default=0.0)
+        if best >= _ALIKE:
+            equal = [each for each in every if found[each] == best]
+            return max(equal, key=lambda each: likeness(".".join(parts), each.casefold()))
+    return ""
+
+
+def _fit(wanted: Sequence[str], parts: Sequence[str], likeness: Callable[[str, str], float]) -> float:
+    """How far some parts are found in a row among others: by the pair that is least alike."""
+    places = range(len(parts) - len(wanted) + 1)
+    rows = (zip(wanted, parts[at:], strict=False) for at in places)
+    return max((min(likeness(*pair) for pair in row) for row in rows), default=0.0)
+
+
+def _likeness(one: str, other: str) -> float:
+    return difflib.SequenceMatcher(None, one, other).ratio()
