@@ -22,7 +22,11 @@ setup(
     license="Apache-2.0",
     keywords=["ROS", "harmonic drive", "strain wave gear", "transmission error", "diagnostics"],
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={f"{NAME}.config": ["parameters.csv"], f"{NAME}.report": ["templates/*"]},
+    package_data={
+        f"{NAME}.config": ["parameters.csv"],
+        f"{NAME}.gear": ["catalogue.csv"],
+        f"{NAME}.report": ["templates/*"],
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

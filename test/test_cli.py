@@ -169,7 +169,7 @@ def test_check_describes_a_valid_configuration(tmp_path: Path) -> None:
     first, *what, last = result.output.splitlines()
     said = "joint_1: joint_1_motor -> joint_1, ratio 100, 200/202 teeth, rated 56 N m, eccentricity 12 µm"
     assert (result.exit_code, first, last) == (0, said, f"{path}: valid")
-    for part in ("module 0.3 mm", "K1 2.8", "lost motion 0 arcsec", "overlap of the lobes", "per 10 µm"):
+    for part in ("module 0.3 mm", "K1 2.8", "lost motion 0 arcsec", "overlap of the lobes", "at 10 µm"):
         assert part in "\n".join(what)
     told = json.loads(hd_diag("check", path, "--json", "-").stdout)
     assert (told["schema"], told["valid"]) == ("hd_diag/check/1", True)

@@ -1,8 +1,10 @@
 """A drive from its catalogue page: similarity, stiffness, the section of a file, the verb, the check."""
 
 import dataclasses
+import importlib
 import json
 import math
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +19,13 @@ from numpy.testing import assert_allclose
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from scipy.optimize import least_squares
 
 from hd_diag.config.assessment import assess
 from hd_diag.config.configuration import Config, ConfigError, dump, load, resolve
-from hd_diag.config.defaults import DEFAULTS, EXAMPLE
+from hd_diag.config.defaults import DEFAULTS, EXAMPLE, page_of
 from hd_diag.config.model_file import document, parse
+from hd_diag.config.parameters import of_joint
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.linearised_fit import linearise
 from hd_diag.diagnosis.record import prepare
@@ -29,8 +33,10 @@ from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE
 from hd_diag.effects.scaling import of_drive
 from hd_diag.extended_model import ExtendedModel, Range, Ranges, Term
+from hd_diag.gear.catalogue import Gear, check, named, table, usual
 from hd_diag.gear.characteristics import MeshOverTurn, ToothLoads, characteristics, tooth_loads
-from hd_diag.gear.similarity import least_backlash
+from hd_diag.gear.page import Page
+from hd_diag.gear.page_fit import of_page as fitted
 from hd_diag.model.load_sharing import mesh_state
 from hd_diag.model.torsion import torsion, torsion_table
 from hd_diag.report.teeth import teeth_over_turn
@@ -39,9 +45,11 @@ from hd_diag.tolerance import assembly
 from hd_diag.tolerance.assembly import FACTORS, Population, Spread, draw
 from hd_diag.tolerance.evaluation import NAMES as NAMES_OF_CRITERIA
 from hd_diag.tolerance.evaluation import reference_stiffness
+from hd_diag.tolerance.limit import first_excess
 from hd_diag.tolerance.study import limits_and_spreads
 
-LEAST_BACKLASH = 0.94e-6  # of the paper's drive, /model's check values [m]
+sys.path.append(str(Path(__file__).resolve().parent.parent / "docs"))
+gear_table = importlib.import_module("gear_table")
 
 # Pages of HFUC and CSF units: size, ratio, rated torque [N m], K1, K2, K3 [kN m/rad], T1, T2 [N m].
 PAGES = {
@@ -122,43 +130,135 @@ def test_a_model_file_holds_what_its_gear_can_have(
 # Similarity ---
 
 
-@pytest.mark.parametrize("name", PAGES)
-def test_a_page_becomes_a_drive_that_has_its_stiffness_and_clearance(name: str) -> None:
-    config = of_page(name)
-    drive = config.joints[0].drive
-    scale = drive.mesh.geometry.module / 0.3e-3
-    assert drive.kinematics.ratio == PAGES[name][1]
-    assert least_backlash(drive.mesh.geometry)[0] == pytest.approx(scale * LEAST_BACKLASH, rel=0.01)
-    found = assess(config, config.joints[0])
-    assert found.found.stiffness == pytest.approx(1e3 * np.array(PAGES[name][3:6]), rel=0.06)
-    assert found.found.loads.overlap < 0.0
-    assert found.warnings == []
+def curve_off(drive: Drive, found: Page) -> Any:
+    """Mean torsion over a slot pitch by compiled code, relative to the page's piecewise line."""
+    k, torque = (found.k1, found.k2, found.k3), found.torques
+    ends = np.cumsum([0.0, found.t1 / k[0], (found.t2 - found.t1) / k[1], 9.0 * found.t2 / k[2]])
+    promised = 0.5 * found.lost_motion + np.interp(torque, [0.0, found.t1, found.t2, 10.0 * found.t2], ends)
+    angle = 0.1 + drive.mesh.geometry.slot_pitch / 37 * np.arange(37)
+    own = torsion_table(drive.mesh, angle, torque).mean(axis=0) + drive.cup_compliance * torque
+    return own / promised - 1.0
+
+
+def of_gear(gear: Gear) -> Config:
+    return resolve({f"joint_1.gear.{name}": getattr(gear, name) for name in NAMES})
+
+
+def check_page(config: Config) -> None:
+    drive, told = config.joints[0].drive, assess(config, config.joints[0])
+    found = page_of(of_joint(config.flat, "joint_1"))
+    assert found is not None
+    assert np.abs(curve_off(drive, found)).max() < 0.07
+    assert told.found.lost_motion == 0.0
+    # What an assembly may add to the preload goes with the module: half a micrometre or more of it is left.
+    left = first_excess(
+        drive, 0.0, "interference", config.flat["joint_1.tolerance.limits.interference"], 3e-5
+    )
+    assert left.without < left.limit
+    assert told.warnings == [] or drive.kinematics.ratio == 30.0
     # Limits of forces are scaled by a law that is right within 10 %; a perfect assembly is well below them.
-    assert found.found.loads.rated < config.flat["joint_1.tolerance.limits.peak_tooth_load"]
-    assert found.found.loads.rated < 0.5 * config.flat["joint_1.limits.peak_tooth_load.warn"]
+    assert told.found.loads.rated < config.flat["joint_1.tolerance.limits.peak_tooth_load"]
+    assert told.found.loads.rated <= 0.51 * config.flat["joint_1.limits.peak_tooth_load.warn"]
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_a_page_becomes_a_drive_that_has_its_torsion_curve(name: str) -> None:
+    config = of_page(name)
+    assert config.joints[0].drive.kinematics.ratio == PAGES[name][1]
+    check_page(config)
+
+
+SAMPLE = ("CSG-25-100", "CSG-14-50", "CSG-32-160", "HFUC-90-50", "HFUS-11-100", "HFUC-25-30")
+
+
+@pytest.mark.parametrize("name", SAMPLE)
+def test_a_gear_of_the_table_has_its_page_s_torsion_curve(name: str) -> None:
+    check_page(of_gear(table()[name]))
+
+
+@pytest.mark.slow
+def test_every_gear_of_the_table_has_its_page_s_torsion_curve() -> None:
+    for gear in table().values():
+        check_page(of_gear(gear))
+
+
+def test_the_table_in_the_docs_is_what_its_command_writes() -> None:
+    written = gear_table.TABLE.read_text(encoding="utf-8").splitlines()
+    names = [name for line in written[2:] for name in line[2:].split(" | ")[0].split(", ")]
+    assert sorted(names) == sorted(table())
+    assert "\n".join(written[:2]) == gear_table.HEAD
+    for row in gear_table.rows({name: table()[name] for name in SAMPLE[:2]}):
+        name, rest = row[2:].split(" | ", 1)
+        assert [line for line in written if line.startswith(f"| {name}") and line.endswith(rest)]
+
+
+@pytest.mark.slow
+def test_the_whole_table_in_the_docs_is_what_its_command_writes() -> None:
+    assert gear_table.TABLE.read_text(encoding="utf-8").splitlines()[2:] == list(gear_table.rows(table()))
+
+
+def test_a_lost_motion_that_is_given_begins_the_curve() -> None:
+    """Half of it either way; the torsion of the first torques is mostly the gap."""
+    lost = math.radians(1.0 / 60.0)
+    config = of_page("25/101", lost_motion=lost)
+    found = page_of(of_joint(config.flat, "joint_1"))
+    drive = config.joints[0].drive
+    assert assess(config, config.joints[0]).found.lost_motion == pytest.approx(lost, rel=0.1)
+    assert np.abs(curve_off(drive, found)).max() < 0.12
+    assert found.torsion(found.torques)[0] > 0.5 * lost
+
+
+def test_the_best_place_of_the_slots_is_better_than_its_neighbours() -> None:
+    """An independent search: the miss over places 0.5 µm to either side, compliances fitted by scipy."""
+    found = page_of(of_joint(of_page("25/101").flat, "joint_1"))
+    best = fitted(EXAMPLE.mesh, 1.0, 202, found)
+
+    def miss(shift: float) -> float:
+        geometry = best.mesh.geometry
+        places = {
+            n: getattr(geometry, n) + shift for n in ("circular_spline_datum", "circular_spline_tip_radius")
+        }
+        angle = geometry.slot_pitch / 16 * np.arange(16)
+
+        def off(values: Any) -> Any:
+            mesh = dataclasses.replace(
+                best.mesh, geometry=dataclasses.replace(geometry, **places), tooth_compliance=1e-6 * values[0]
+            )
+            own = torsion_table(mesh, angle, found.torques).mean(axis=0) + 1e-6 * values[1] * found.torques
+            return (own / found.torsion(found.torques) - 1.0) ** 2
+
+        start = [1e6 * best.mesh.tooth_compliance, 1e6 * best.cup_compliance]
+        return 2.0 * float(least_squares(off, start, bounds=([0.1, 0.0], [10.0, 20.0]), xtol=1e-12).cost)
+
+    here = miss(0.0)
+    assert best.miss == pytest.approx(here, rel=1e-2)
+    assert here < min(miss(-0.5e-6), miss(0.5e-6))
 
 
 def test_the_page_of_the_example_s_size_has_the_example_s_teeth() -> None:
     own = of_page("25/80", ratio=100.0, rated_torque=56.0).flat
-    fitted = ("tooth_compliance", "cup_compliance")
+    fitted = ("tooth_compliance", "cup_compliance", "circular_spline_datum", "circular_spline_tip_radius")
     same = [n for n in DEFAULTS if not n.startswith(("gear.", "limits.", "tolerance.")) and n not in fitted]
     assert {n: own[f"joint_1.{n}"] for n in same} == {n: DEFAULTS[n] for n in same}
+    datum, tip = (own[f"joint_1.{name}"] - DEFAULTS[name] for name in fitted[2:])
+    assert datum == pytest.approx(tip, abs=1e-12)
 
 
 @pytest.mark.parametrize("design", OTHERS, ids=lambda design: design.name)
-def test_the_challenge_s_own_code_makes_the_same_drive(design: Design) -> None:
+def test_the_challenge_s_own_code_makes_the_same_teeth(design: Design) -> None:
+    """Its drives have the example's clearance instead of a page's torsion curve: slots lie elsewhere."""
     own, other = of_page(design.name).joints[0].drive, design.shape
     geometry = own.mesh.geometry
     pairs = (
         (geometry.semi_major, other.semi_major),
         (geometry.semi_minor, other.semi_minor),
         (geometry.flexspline_tip, other.tooth_tip),
-        (geometry.circular_spline_datum, other.circular_spline_datum),
-        (geometry.circular_spline_tip_radius, other.circular_spline_tip_radius),
+        (
+            geometry.circular_spline_tip_radius - geometry.circular_spline_datum,
+            other.circular_spline_tip_radius - other.circular_spline_datum,
+        ),
     )
     assert_allclose(*np.transpose(pairs), rtol=0.0, atol=0.1e-6)
-    assert own.mesh.tooth_compliance == pytest.approx(other.tooth_compliance, rel=0.02)
-    assert own.cup_compliance == pytest.approx(design.cup, rel=0.02, abs=0.1e-6)
 
 
 def test_scaling_everything_with_the_size_would_not_do_away_from_ratio_100() -> None:
@@ -184,6 +284,22 @@ def test_scaling_everything_with_the_size_would_not_do_away_from_ratio_100() -> 
         ({"k2": 0.0}, "gear.k2: missing; a drive from its catalogue page needs it [N m/rad]"),
         ({"size": 0.0}, "gear.size or gear.pitch_diameter: missing"),
         ({"t1": 50.0}, "gear.t1 (50 N m) must be below gear.t2 (48 N m)"),
+        # The same page in other units: 3.1e4 N m/rad are 3.16 x 9.80665 N / (pi / 10800) rad / 10.
+        (
+            {"k1": 3.1, "k2": 5.0},
+            "gear.k1: no gear of size 25 has 3.1 N m/rad, usual is 3.1e+04: if the page",
+        ),
+        ({"k1": 3.1}, "if the page means 3.1 × 10⁴ N m/rad, write 3.1e+04"),
+        (
+            {"k2": 1.5},
+            "gear.k2: no gear of size 25 has 1.5 N m/rad, usual is 4.8e+04: if the page means 1.5 kgf",
+        ),
+        ({"k3": 17.0}, "if the page means 17 N m/arcmin, write 5.844e+04"),
+        ({"k3": 57.0}, "if the page means 57 kN m/rad, write 5.7e+04"),
+        ({"k1": 3.1e7}, "if the page means 3.1e+07 N mm/rad, write 3.1e+04"),
+        ({"k1": 3.1e5}, "usual is 3.1e+04: look at size and unit"),
+        ({"t1": 1.4}, "gear.t1: no gear of size 25 has 1.4 N m, usual is 13: if the page means 1.4 kgf m"),
+        ({"size": 63.5}, "no gear of size 63.5 has 31000 N m/rad"),
     ],
 )
 def test_a_page_that_gives_no_drive_is_refused_with_the_reason(values: dict[str, float], said: str) -> None:
@@ -195,9 +311,9 @@ def test_a_page_that_gives_no_drive_is_refused_with_the_reason(values: dict[str,
 def test_a_ratio_of_30_is_done_and_what_changed_is_said() -> None:
     config = of_page("25/80", ratio=30.0, rated_torque=27.0, k1=1.0e4, k2=1.3e4, k3=2.1e4)
     told = assess(config, config.joints[0])
-    assert told.found.stiffness == pytest.approx([1.0e4, 1.3e4, 2.1e4], rel=0.2)
+    assert np.abs(told.torsion[2] / told.torsion[1] - 1.0).max() < 0.07
     (warning,) = told.warnings
-    assert "60 teeth of the flexspline: slots have to lie 189 µm further out" in warning
+    assert "60 teeth of the flexspline: slots have to lie 164 µm further out" in warning
 
 
 @pytest.mark.parametrize(("output", "teeth"), [("flexspline", (202, 204)), ("circular_spline", (200, 202))])
@@ -289,6 +405,35 @@ def test_a_stiffness_that_is_not_the_page_s_and_torques_beyond_are_told() -> Non
     assert "torque, 90 N m, is 2.2 times the rated torque" in told
 
 
+@pytest.mark.parametrize("name", SAMPLE)
+def test_no_gear_of_the_table_is_refused_and_a_third_or_three_times_is_the_edge(name: str) -> None:
+    gear = table()[name]
+    for column in ("k1", "k2", "k3", "t1", "t2"):
+        unit = "N m/rad" if column.startswith("k") else "N m"
+        assert usual(column, gear.size, gear.ratio) == pytest.approx(getattr(gear, column), rel=1.1)
+        for factor, refused in ((1.4, False), (0.7, False), (6.5, True), (1.0 / 6.5, True)):
+            try:
+                check(column, factor * getattr(gear, column), unit, gear.size, gear.ratio)
+            except ValueError:
+                assert refused
+            else:
+                assert not refused
+
+
+def test_a_gear_is_found_by_its_name_and_the_nearest_are_told() -> None:
+    assert named(" csg-25-100-2UH ") == ("CSG-25-100", table()["CSG-25-100"])
+    assert named("hfuc 32 30")[0] == "HFUC-32-30"
+    for name, nearest in (
+        ("CSF-25-100", "CSG-25-100, SHG-25-100"),
+        ("CSG-25-90", "CSG-25-100"),
+        ("csg25100", "CSG-25-100"),
+        ("", "SHG"),
+        ("CSG-0-0", "HFUC-14-30"),
+    ):
+        with pytest.raises(ValueError, match=f"no gear {name!r} in the table .* the nearest are .*{nearest}"):
+            named(name)
+
+
 # The section of a file ---
 
 
@@ -319,7 +464,10 @@ def test_limits_and_tolerances_go_with_the_drive() -> None:
 
 @pytest.mark.parametrize("name", PAGES)
 def test_an_overlap_at_its_limit_does_the_same_to_every_gear(name: str) -> None:
-    """At the warning a tooth bears half more at the rated torque than without eccentricity."""
+    """At the warning a tooth bears about 1.45 times as much at the rated torque as without eccentricity.
+
+    Of the example drive, which has no preload of its own, it bears half more.
+    """
     joint = of_page(name).joints[0]
     mesh, warn = joint.drive.mesh, joint.limits["overlap"].warn
 
@@ -332,7 +480,7 @@ def test_an_overlap_at_its_limit_does_the_same_to_every_gear(name: str) -> None:
     size = (0.02 + 0.03 * (warn - first) / (second - first)) * mesh.geometry.module
     found = eccentric(size)
     assert found.overlap == pytest.approx(warn, rel=0.03)
-    assert found.rated / tooth_loads(joint.drive).rated == pytest.approx(1.5, abs=0.07)
+    assert found.rated / tooth_loads(joint.drive).rated == pytest.approx(1.46, abs=0.06)
 
 
 @pytest.mark.parametrize("name", PAGES)
@@ -420,7 +568,13 @@ def test_the_file_says_what_was_given_assumed_and_reached(tmp_path: Path) -> Non
     result = hd_diag("gear", *arguments("20/160"), "--out", out, *more)
     assert result.exit_code == 0, result.output
     text = out.read_text()
-    for part in ("--ratio 160", "Assumed by similarity", "Reached: K1", "lost motion", "the assumed profile"):
+    for part in (
+        "--ratio 160",
+        "Assumed by similarity",
+        "Reached: torsion",
+        "lost motion",
+        "the assumed profile",
+    ):
         assert part in text
     config = load(out)
     assert config == resolve(
@@ -446,9 +600,59 @@ def test_the_verb_refuses_in_one_line(tmp_path: Path) -> None:
     assert not (tmp_path / "x.yaml").exists()
 
 
-def test_a_ratio_one_off_the_page_s_is_noted(tmp_path: Path) -> None:
+def test_a_name_needs_no_numbers_and_what_is_given_beats_it(tmp_path: Path) -> None:
+    out = tmp_path / "elbow.yaml"
+    result = hd_diag("gear", "csg-25-100", "--out", out, "--joint", "elbow", "--k1", "2.8e4")
+    assert result.exit_code == 0, result.output
+    gear = table()["CSG-25-100"]
+    expected = {f"elbow.gear.{name}": getattr(gear, name) for name in NAMES} | {"elbow.gear.k1": 2.8e4}
+    assert load(out).flat == resolve({"joints": ["elbow"], **expected}).flat | {
+        "elbow.input_joint": "elbow_motor",
+        "elbow.output_joint": "elbow",
+    }
+    assert "hd-diag gear csg-25-100 --joint elbow --k1 28000" in out.read_text()
+    told = json.loads(hd_diag("gear", "CSG-25-100", "--output", "circular_spline", "--json", "-").stdout)[
+        "parameters"
+    ]
+    assert (told["joint_1.gear.ratio"], told["joint_1.flexspline_teeth"]) == (101.0, 200)
+    assert_one_line_error(hd_diag("gear", "CSF-25-100"), "no gear 'CSF-25-100'", "CSG-25-100")
+    assert_one_line_error(hd_diag("gear"), "give the name of a gear, as CSG-25-100")
+
+
+def test_an_edited_file_is_not_overwritten_without_being_asked(tmp_path: Path) -> None:
+    out = tmp_path / "elbow.yaml"
+    out.write_text("edited")
+    assert_one_line_error(
+        hd_diag("gear", "CSG-25-100", "--out", out), "exists already: --overwrite replaces it"
+    )
+    assert out.read_text() == "edited"
+    assert hd_diag("gear", "CSG-25-100", "--out", out, "--overwrite").exit_code == 0
+    assert load(out).joints[0].drive.rated_torque == 87.0
+
+
+def test_errors_of_eccentricities_are_a_table_as_they_are_far_from_linear() -> None:
+    config = of_page("25/101")
+    told, drive = assess(config, config.joints[0]), config.joints[0].drive
+    angle = 2.0 * np.pi * np.arange(4001) / 4001
+
+    def order_2(size: float) -> float:
+        mesh = dataclasses.replace(drive.mesh, eccentricity=size)
+        return 2.0 * abs(np.mean(torsion(mesh, angle, 0.5 * drive.rated_torque) * np.exp(-2j * angle)))
+
+    content = told.content()["errors"]
+    assert [round(1e6 * each["eccentricity"]) for each in content[:3]] == [5, 10, 20]
+    for each in content:
+        assert each["order_2"] == pytest.approx(order_2(each["eccentricity"]), rel=2e-3)
+    assert content[2]["order_2"] > 3.0 * content[1]["order_2"]
+    # The limit is that of `tolerance`, by overlap.
+    wanted = config.flat["joint_1.tolerance.limits.overlap"]
+    limit = first_excess(drive, 0.0, "overlap", wanted, 30e-6).eccentricity
+    assert content[3]["eccentricity"] == pytest.approx(limit, abs=0.05e-6)
+
+
+def test_a_ratio_one_off_the_page_s_is_noted() -> None:
     def told(ratio: int, output: str) -> str:
-        given = [*arguments("25/101"), "--ratio", ratio, "--output", output, "--out", tmp_path / "x.yaml"]
+        given = [*arguments("25/101"), "--ratio", ratio, "--output", output]
         return hd_diag("gear", *given).output
 
     assert "the joint's is 101" in told(100, "circular_spline")

@@ -21,6 +21,7 @@ PAGES = {
     "physics": nomenclature.content,
     "benchmarks": result_tables.content,
     "faults": result_tables.content,
+    "gears": result_tables.content,
 }
 
 

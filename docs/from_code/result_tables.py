@@ -7,6 +7,7 @@ from typing import Any
 
 COMMANDS = {
     "challenge": "make challenge ARGS='--final --markdown docs/tables/challenge.md'",
+    "gears": "python docs/gear_table.py",
     "suite": "make bench ARGS='--markdown docs/tables/suite.md'",
     "faults": "python test/faults.py",
     "soak": "make soak",

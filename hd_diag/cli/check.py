@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
 from hd_diag.cli.joints import configured
 from hd_diag.cli.lines import tell
 from hd_diag.cli.targets import Problem, write_json
+from hd_diag.config import gear_file
 from hd_diag.config.assessment import Assessment, assess
 from hd_diag.config.configuration import JointConfig
 from hd_diag.formatting import ARCSEC
-from hd_diag.gear.characteristics import ECCENTRICITY
+from hd_diag.gear.characteristics import Characteristics
 
 
 def check(config_file: str, json_file: str | None) -> None:
@@ -52,23 +55,31 @@ def describe(joint: JointConfig, assessed: Assessment) -> None:
     )
     radius = mesh.geometry.curve.radius
     tell(f"  module {found.module * 1e3:.4g} mm, radius of the neutral layer {radius * 1e3:.4g} mm")
-    tell(f"  {_stiffness(assessed)} (T1 {found.t1:.3g}, T2 {found.t2:.3g} N m)")
+    for line in gear_file.reached(assessed) if assessed.page else [_stiffness(found)]:
+        tell(f"  {line}")
     gap = "overlap" if found.loads.overlap > 0.0 else "clearance"
     tell(
         f"  at rest: lost motion {found.lost_motion / ARCSEC:.3g} arcsec, least backlash "
         f"{found.least_backlash * 1e6:.3g} µm, {gap} of the lobes {abs(found.loads.overlap) * 1e6:.3g} µm"
     )
-    error = found.error_per_eccentricity * ECCENTRICITY / ARCSEC
-    tell(
-        f"  transmission error {error:.3g} arcsec (order 2 of the input) per {ECCENTRICITY * 1e6:.0f} µm of "
-        f"eccentricity at {0.5 * drive.rated_torque:g} N m"
-    )
+    if assessed.page:
+        tell(f"  {gear_file.ASSUMED_PROFILE}")
+    tell(f"  {_errors(found, 0.5 * drive.rated_torque)}")
     for warning in assessed.warnings:
         tell(f"  warning: {warning}")
 
 
-def _stiffness(assessed: Assessment) -> str:
-    page = assessed.page
-    listed = ", ".join(f"K{i} {value:.3g}" for i, value in enumerate(assessed.found.stiffness, 1))
-    beside = f"; the page gives {', '.join(f'{value:.3g}' for value in page.stiffness)}" if page else ""
-    return f"{listed} N m/rad{beside}"
+def _errors(found: Characteristics, torque: float) -> str:
+    def listed(*points: tuple[float, float]) -> str:
+        return ", ".join(f"{size / ARCSEC:.3g} at {e * 1e6:.3g} µm" for e, size in points)
+
+    limit = "" if math.isnan(found.limit[0]) else f"; {listed(found.limit)}, the tolerance's limit by overlap"
+    return (
+        f"transmission error by eccentricity, order 2 of the input at {torque:g} N m [arcsec]: "
+        f"{listed(*found.errors)}{limit}"
+    )
+
+
+def _stiffness(found: Characteristics) -> str:
+    listed = ", ".join(f"K{i} {value:.3g}" for i, value in enumerate(found.stiffness, 1))
+    return f"{listed} N m/rad (T1 {found.t1:.3g}, T2 {found.t2:.3g} N m)"

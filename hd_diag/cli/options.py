@@ -127,15 +127,10 @@ def together(*options: Callable[[Any], Any]) -> Callable[[_Command], _Command]:
     return decorated
 
 
-def numbers(
-    rows: Iterable[tuple[str, click.ParamType[Any], str]], required: Iterable[str] = ()
-) -> Callable[[_Command], _Command]:
+def numbers(rows: Iterable[tuple[str, click.ParamType[Any], str]]) -> Callable[[_Command], _Command]:
     """Options for numbers, one for each name with its type and help."""
     return together(
-        *(
-            click.option(f"--{name.replace('_', '-')}", type=kind, required=name in required, help=text)
-            for name, kind, text in rows
-        )
+        *(click.option(f"--{name.replace('_', '-')}", type=kind, help=text) for name, kind, text in rows)
     )
 
 

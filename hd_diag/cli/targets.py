@@ -48,6 +48,12 @@ def check_targets(targets: Iterable[str | Path | None], *inputs: Path) -> None:
                 raise Problem(str(error)) from error
 
 
+def check_new(path: Path) -> None:
+    """Raise a Problem for a file that exists: people may have edited it."""
+    if path.exists():
+        raise Problem(f"{path}: exists already: --overwrite replaces it")
+
+
 @contextmanager
 def writing(path: str | Path) -> Iterator[Path]:
     """Give a draft's path and put it in place when complete; raise a Problem if it cannot be written."""

@@ -7,23 +7,34 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
+from hd_diag.arrays import Floats
 from hd_diag.config.configuration import Config, JointConfig
-from hd_diag.config.defaults import EXAMPLE, Page, page_of
+from hd_diag.config.defaults import EXAMPLE, page_of
 from hd_diag.config.parameters import of_joint
-from hd_diag.gear.characteristics import Characteristics, characteristics, slot_shift
+from hd_diag.gear.characteristics import Characteristics, characteristics, mean_torsion, slot_shift
+from hd_diag.gear.page import Page
 
 _FAR = 1.5  # reached over given stiffness, either way [-]
-_BY_ITSELF = 0.25  # of the overlap that is warned of, without any eccentricity [-]
+# Of the overlap that is warned of, without any eccentricity [-]; of a drive with a page, whose torsion curve
+# asks for up to 0.3 between all gears of the table.
+_BY_ITSELF, _BY_PAGE = 0.25, 0.5
 _DISSIMILAR_TEETH = 100  # of a flexspline; with fewer the profile of ratio 100 is hardly a gear's
 _STEPS = ("k1", "k2", "k3")
 
 
 @dataclass(frozen=True)
 class Assessment:
-    """A joint's characteristics, its catalogue page (None: it has none) and warnings, each one line."""
+    """A joint's characteristics, its catalogue page (None: it has none) and warnings, each one line.
+
+    `torsion` (3, 8) is what the page is compared at: torque [N m], torsion of the page and of the drive
+    without eccentricity [rad]; without a page (3, 0).
+    """
 
     found: Characteristics
     page: Page | None
+    torsion: Floats
     warnings: list[str]
 
     def content(self) -> dict[str, Any]:
@@ -38,8 +49,10 @@ class Assessment:
             "least_backlash": found.least_backlash,
             "overlap": found.loads.overlap,
             "error_per_eccentricity": found.error_per_eccentricity,
+            "errors": [{"eccentricity": e, "order_2": size} for e, size in (*found.errors, found.limit)],
             "peak_tooth_load": {"idle": found.loads.idle, "rated": found.loads.rated},
             "given": dict(zip(_STEPS, self.page.stiffness, strict=True)) if self.page else None,
+            "torsion": dict(zip(("torque", "given", "reached"), self.torsion.tolist(), strict=True)),
             "warnings": self.warnings,
         }
 
@@ -48,19 +61,23 @@ def assess(config: Config, joint: JointConfig) -> Assessment:
     """Assessment of one of a configuration's joints as it is configured."""
     own = of_joint(config.flat, joint.name)
     page, drive = page_of(own), joint.configured
-    steps = (page.t1, page.t2) if page else (own["gear.t1"], own["gear.t2"])
-    found = characteristics(drive, *steps)
-    mesh = drive.mesh
-    perfect = found
-    if mesh.eccentricity or mesh.runout:
-        perfect = characteristics(replace(drive, mesh=replace(mesh, eccentricity=0.0, runout=0.0)), *steps)
-    return Assessment(found, page, list(_warnings(perfect, page, joint)))
+    t1, t2 = (page.t1, page.t2) if page else (own["gear.t1"], own["gear.t2"])
+    overlap = own["tolerance.limits.overlap"]
+    found = characteristics(drive, t1, t2, overlap)
+    perfect = replace(drive, mesh=replace(drive.mesh, eccentricity=0.0, runout=0.0))
+    torsion = np.zeros((3, 0))
+    if page:
+        torque = page.torques
+        torsion = np.stack([torque, page.torsion(torque), mean_torsion(perfect, torque)])
+    warnings = _warnings(characteristics(perfect, t1, t2, overlap), page, joint)
+    return Assessment(found, page, torsion, list(warnings))
 
 
 def _warnings(found: Characteristics, page: Page | None, joint: JointConfig) -> Iterator[str]:
     """What no gear has, or not the one of the page; the characteristics are those without eccentricity."""
     drive, loads, limits = joint.configured, found.loads, joint.limits
-    if loads.overlap > max(0.0, _BY_ITSELF * limits["overlap"].warn):
+    share = _BY_PAGE if page else _BY_ITSELF
+    if loads.overlap > max(0.0, share * limits["overlap"].warn):
         yield (
             f"the lobes overlap by {loads.overlap * 1e6:.3g} µm without eccentricity, which presses a tooth "
             f"with {loads.idle:.3g} N without torque: neutral curve and slots do not fit each other"

@@ -6,23 +6,25 @@ come from the page (:mod:`hd_diag.gear`); limits and tolerances go with the driv
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
+from dataclasses import replace
 from functools import lru_cache
-from typing import NamedTuple
-
-import numpy as np
 
 from hd_diag.config.configured_drive import drive_from, geometry_parameters
 from hd_diag.config.parameters import JOINT_PARAMETERS, LIMITS, Value
 from hd_diag.drive import Drive
 from hd_diag.formatting import rounded
-from hd_diag.gear.characteristics import T1_SHARE, T2_SHARE
-from hd_diag.gear.similarity import compliances, similar
+from hd_diag.gear import catalogue, page_fit
+from hd_diag.gear.characteristics import MeshOverTurn, slot_phases
+from hd_diag.gear.page import T1_SHARE, T2_SHARE, Page
+from hd_diag.gear.similarity import LEAST_TEETH
 from hd_diag.model.mesh import Mesh
 
 DEFAULTS: Mapping[str, Value] = {p.name: p.default for p in JOINT_PARAMETERS}
 EXAMPLE = drive_from(DEFAULTS)
-_EXAMPLE_PITCH_DIAMETER = 25 * 2.54e-3  # [m]; a size is tenths of an inch
+_EXAMPLE_SIZE, _TENTH_OF_AN_INCH = 25.0, 2.54e-3  # a size is the pitch diameter [m] in these
+_UNITS = {p.name.removeprefix("gear."): p.unit for p in JOINT_PARAMETERS if p.name.startswith("gear.")}
+_CHECKED = {"k1", "k2", "k3", "t1", "t2"}  # go with the size
 
 # Force on a flank over torque. The more a mesh is loaded, the more pairs share: between drives of sizes 8 to
 # 65 and ratios 50 to 160 the largest force goes with the torque to this power, within 10 %.
@@ -37,25 +39,6 @@ _ERROR_OF_ECCENTRICITY = 0.19
 _MODEL_SHARE = 0.25
 
 
-class Page(NamedTuple):
-    """A catalogue page: pitch diameter [m], ratio [-], torques [N m], stiffness [N m/rad]; the output."""
-
-    pitch_diameter: float
-    ratio: float
-    rated_torque: float
-    k1: float
-    k2: float
-    k3: float
-    t1: float
-    t2: float
-    output: str
-
-    @property
-    def stiffness(self) -> tuple[float, float, float]:
-        """K1, K2, K3 [N m/rad]."""
-        return self.k1, self.k2, self.k3
-
-
 def joint_values(given: Mapping[str, Value], teeth: bool = True) -> tuple[dict[str, Value], dict[str, Value]]:
     """All parameters of a joint from those given, by their names within it; and those that were given.
 
@@ -65,7 +48,10 @@ def joint_values(given: Mapping[str, Value], teeth: bool = True) -> tuple[dict[s
     """
     page = page_of(given)
     values = {**DEFAULTS, **(resolved(page) if page else {})}
-    values |= scaled(drive_from({**values, **given}, teeth))
+    drive = drive_from({**values, **given}, teeth)
+    values |= scaled(drive)
+    if page:  # what an assembly may add to the preload that the page's torsion curve asks for
+        values |= {name: rounded(values[name] + rest) for name, rest in _at_rest(drive.mesh).items()}
     for name in LIMITS:  # where an error alone is given, its warning is not above it
         warn, error = f"limits.{name}.warn", f"limits.{name}.error"
         values[warn] = min(values[warn], {**values, **given}[error])
@@ -84,15 +70,27 @@ def page_of(given: Mapping[str, Value]) -> Page | None:
         found[name] = found[name] or given.get(name, 0.0)
     found["t1"] = found["t1"] or T1_SHARE * found["rated_torque"]
     found["t2"] = found["t2"] or T2_SHARE * found["rated_torque"]
-    found["pitch_diameter"] = diameter or size / 25.0 * _EXAMPLE_PITCH_DIAMETER
+    found["pitch_diameter"] = diameter or size * _TENTH_OF_AN_INCH
     for name, value in found.items():
-        if value == 0.0:
-            unit = next(p.unit for p in JOINT_PARAMETERS if p.name == f"gear.{name}")
+        if value == 0.0 and name != "lost_motion":
             wanted = "size or gear.pitch_diameter" if name == "pitch_diameter" else name
-            raise ValueError(f"gear.{wanted}: missing; a drive from its catalogue page needs it [{unit}]")
+            needed = f"a drive from its catalogue page needs it [{_UNITS[name]}]"
+            raise ValueError(f"gear.{wanted}: missing; {needed}")
     if not found["t1"] < found["t2"]:
         raise ValueError(f"gear.t1 ({found['t1']:g} N m) must be below gear.t2 ({found['t2']:g} N m)")
+    if 2.0 * abs(found["ratio"]) >= LEAST_TEETH:  # others are refused for their teeth
+        _check_units(found, {name for name in found if values[f"gear.{name}"]})
     return Page(**found, output=str(values["output"]))
+
+
+def _check_units(page: Mapping[str, float], given: Set[str]) -> None:
+    """Refuse a stiffness or torque that no gear of the size has."""
+    for name in sorted(_CHECKED & given):
+        size = page["pitch_diameter"] / _TENTH_OF_AN_INCH
+        try:
+            catalogue.check(name, page[name], _UNITS[name], size, page["ratio"])
+        except ValueError as error:
+            raise ValueError(f"gear.{name}: {error}") from error
 
 
 @lru_cache(maxsize=256)
@@ -105,14 +103,13 @@ def resolved(page: Page) -> dict[str, Value]:
             f"gear.ratio: {page.ratio:g} is not a whole number, as two more teeth on the circular spline give"
         )
     try:
-        scale = page.pitch_diameter / _EXAMPLE_PITCH_DIAMETER
-        found = similar(EXAMPLE.mesh.geometry, scale, int(slots) - 2)
+        scale = page.pitch_diameter / (_EXAMPLE_SIZE * _TENTH_OF_AN_INCH)
+        _, mesh, cup = page_fit.of_page(EXAMPLE.mesh, scale, int(slots) - 2, page)
     except ValueError as error:
         raise ValueError(f"gear: {error}") from error
-    mesh = Mesh(found, EXAMPLE.mesh.tooth_compliance)
-    tooth, cup = compliances(mesh, page.t1, page.t2, np.array(page.stiffness))
     own: dict[str, Value] = {"ratio": page.ratio, "rated_torque": page.rated_torque}
-    return {**own, **geometry_parameters(found), "tooth_compliance": tooth, "cup_compliance": cup}
+    compliances = {"tooth_compliance": mesh.tooth_compliance, "cup_compliance": cup}
+    return {**own, **geometry_parameters(mesh.geometry), **compliances}
 
 
 def scaled(drive: Drive) -> dict[str, Value]:
@@ -120,6 +117,16 @@ def scaled(drive: Drive) -> dict[str, Value]:
     factors = _factors(drive)
     own = {p.name: (DEFAULTS[p.name], factors[p.scale]) for p in JOINT_PARAMETERS if p.scale}
     return {name: value if k == 1.0 else rounded(value * k) for name, (value, k) in own.items()}
+
+
+@lru_cache(maxsize=256)
+def _at_rest(mesh: Mesh) -> Mapping[str, float]:
+    """By which teeth and lobes overlap as built, without torque [m], by the limits of these."""
+    perfect = replace(mesh, eccentricity=0.0, runout=0.0)
+    teeth = MeshOverTurn(perfect, slot_phases(mesh.geometry))
+    overlap, interference = max(teeth.overlap(), 0.0), max(-teeth.least_backlash(), 0.0)
+    limits = ("limits.overlap.warn", "limits.overlap.error", "tolerance.limits.overlap")
+    return {**dict.fromkeys(limits, overlap), "tolerance.limits.interference": interference}
 
 
 def _factors(drive: Drive) -> dict[str, float]:

@@ -6,12 +6,21 @@ import textwrap
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+import numpy as np
+
+from hd_diag.arrays import Floats
 from hd_diag.config.assessment import Assessment
 from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.config.defaults import DEFAULTS, EXAMPLE, resolved
 from hd_diag.config.parameters import JOINT_PARAMETERS, Parameter, nested
 from hd_diag.formatting import ARCSEC
 from hd_diag.gear.characteristics import slot_shift
+
+ASSUMED_PROFILE = (
+    "backlash of single teeth, the eccentricity of the first interference and forces on teeth are those of "
+    "the assumed profile"
+)
+"""What to tell wherever these are shown of a drive from a page."""
 
 _WIDTH = 118  # of a comment
 _COLUMN = 62  # at which the comment of a value begins
@@ -22,7 +31,7 @@ _GROUPS = {
     "ratio": "Given, from the catalogue page. To change it run the command again: what stands below holds",
     "accuracy": "Given, or 1.5 arcmin as for most pages",
     "flexspline_teeth": "Assumed by similarity: put in what you know better",
-    "tooth_compliance": "Fitted to K1, K2, K3",
+    "tooth_compliance": "Fitted to the torsion curve of K1, K2, K3",
     "limits": "Diagnostics, scaled with the gear: WARN above the first, ERROR above the second",
     "tolerance": "hd-diag tolerance, scaled with the gear; the others: config/example_drive.yaml",
 }
@@ -52,12 +61,20 @@ def text(config: Config, joint: JointConfig, assessed: Assessment, command: str)
 
 
 def reached(assessed: Assessment) -> Iterator[str]:
-    """K1, K2, K3 against the page, one line each."""
+    """The torsion curve against the page, and its slopes."""
     page, found = assessed.page, assessed.found
     assert page is not None
-    for number, (value, given) in enumerate(zip(found.stiffness, page.stiffness, strict=True), 1):
-        off = 100.0 * (value / given - 1.0)
-        yield f"K{number} {value:.3g} N m/rad, {off:+.1f} % off the page's {given:.3g}"
+    torque, given, own = assessed.torsion
+    off = 100.0 * (own / given - 1.0)
+    yield f"torsion at {_list(torque)} N m: {_list(own / ARCSEC)} arcsec"
+    yield f"the page's curve: {_list(given / ARCSEC)} arcsec; off by at most {np.abs(off).max():.1f} %"
+    slopes = zip(found.stiffness, page.stiffness, strict=True)
+    listed = ", ".join(f"K{n} {value:.3g} ({wanted:.3g})" for n, (value, wanted) in enumerate(slopes, 1))
+    yield f"secants, the page's in brackets: {listed} N m/rad; T1 {page.t1:.3g}, T2 {page.t2:.3g} N m"
+
+
+def _list(values: Floats) -> str:
+    return ", ".join(f"{value:.3g}" for value in values)
 
 
 def assumed(joint: JointConfig) -> str:
@@ -69,8 +86,7 @@ def assumed(joint: JointConfig) -> str:
         f"teeth of the example drive (size 25, ratio 100; config/example_drive.yaml) times "
         f"{geometry.module / example.module:.3g}, its pitch circle times "
         f"{geometry.curve.radius / example.curve.radius:.3g}, deformation with the teeth; slots "
-        f"{abs(shift) * 1e6:.1f} µm further {side}, so that the least backlash goes with the "
-        "module too"
+        f"{abs(shift) * 1e6:.1f} µm further {side}, where the page's torsion curve has them"
     )
 
 
@@ -80,13 +96,14 @@ def _head(assessed: Assessment, joint: JointConfig, command: str) -> Iterator[st
     yield ""
     yield from _wrapped(f"Assumed by similarity: {assumed(joint)}.")
     yield from (f"Reached: {line}" for line in reached(assessed))
+    gap = "overlap" if found.loads.overlap > 0.0 else "clearance"
     yield (
         f"At rest: lost motion {found.lost_motion / ARCSEC / 60:.2g} arcmin, least backlash "
-        f"{found.least_backlash * 1e6:.2g} µm, clearance of the lobes {-found.loads.overlap * 1e6:.2g} µm"
+        f"{found.least_backlash * 1e6:.2g} µm, {gap} of the lobes {abs(found.loads.overlap) * 1e6:.2g} µm"
     )
     yield from _wrapped(
-        "Stiffness and the error of order 2 per eccentricity are fitted or follow. Backlash of single teeth, "
-        "the eccentricity of the first interference and forces on teeth are those of the assumed profile."
+        "Stiffness, lost motion and the error of order 2 that an eccentricity makes are fitted or follow. "
+        f"{ASSUMED_PROFILE.capitalize()}."
     )
     for warning in assessed.warnings:
         yield from _wrapped(f"Warning: {warning}.")

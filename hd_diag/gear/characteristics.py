@@ -11,24 +11,25 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.drive import Drive
+from hd_diag.gear.page import T1_SHARE, T2_SHARE
 from hd_diag.model.contact import FLANKS, contacts
 from hd_diag.model.geometry import Geometry
 from hd_diag.model.load_sharing import FlankTorsion, flank_stiffness
 from hd_diag.model.mesh import Mesh, largest_displacement
 
-T1_SHARE, T2_SHARE = 0.25, 0.86
-"""Torques T1 and T2 over the rated torque where no page gives them [-]."""
-
 SMALLEST_SHARE = 1.0 / 14.0
 """Torque over T1 from which K1 is measured [-]: below it the gap is taken up."""
 
-ECCENTRICITY = 10e-6
-"""At which the error per eccentricity is taken [m]."""
+ECCENTRICITIES = (5e-6, 10e-6, 20e-6)
+"""At which the error of an eccentricity is shown [m]: it is far from linear."""
+
+_OF_ONE = 10e-6  # at which the error per eccentricity is taken [m]
 
 PHASES = 16
 """Wave generator angles in a slot pitch, where each is like the others."""
 
 _MOMENTS = 128  # of a turn
+_FINE_ECCENTRICITY = 0.02e-6  # to which that of an overlap is found [m]
 # Over half a turn, which is a period of the error, and over a slot pitch at each: orders of teeth cancel.
 _ERROR_MOMENTS, _ERROR_PHASES = 8, 3
 
@@ -68,7 +69,13 @@ class Characteristics:
         Of all teeth without torque, cup in the middle as built [m]; negative: interference at a lobe.
     loads : ToothLoads
     error_per_eccentricity : float
-        Amplitude of order 2 of the wave generator at half the rated torque, over the eccentricity [rad/m].
+        Amplitude of order 2 of the wave generator at half the rated torque, over an eccentricity of 10 µm
+        [rad/m].
+    errors : tuple of (float, float)
+        That amplitude [rad] at some eccentricities [m].
+    limit : (float, float)
+        The eccentricity at which the lobes overlap as much as an assembly may have [m], and its amplitude
+        [rad]; nan: they do so without, or not below the eccentricity that is too much.
     """
 
     module: float
@@ -79,6 +86,8 @@ class Characteristics:
     least_backlash: float
     loads: ToothLoads
     error_per_eccentricity: float
+    errors: tuple[tuple[float, float], ...]
+    limit: tuple[float, float]
 
 
 class MeshOverTurn:
@@ -125,19 +134,23 @@ def _loads(teeth: MeshOverTurn, rated_torque: float) -> ToothLoads:
     return ToothLoads(teeth.overlap(), teeth.peak_load(0.0), teeth.peak_load(rated_torque))
 
 
-def characteristics(drive: Drive, t1: float = 0.0, t2: float = 0.0) -> Characteristics:
-    """Characteristics of a drive; T1 and T2 [N m] are shares of the rated torque where they are zero."""
+def characteristics(drive: Drive, t1: float = 0.0, t2: float = 0.0, overlap: float = 0.0) -> Characteristics:
+    """Characteristics of a drive; T1 and T2 [N m] are shares of the rated torque where they are zero.
+
+    The overlap is what an assembly may have [m].
+    """
     t1, t2 = t1 or T1_SHARE * drive.rated_torque, t2 or T2_SHARE * drive.rated_torque
-    return _characteristics(drive.mesh, drive.rated_torque, drive.cup_compliance, t1, t2)
+    return _characteristics(drive.mesh, drive.rated_torque, drive.cup_compliance, t1, t2, overlap)
 
 
 @lru_cache(maxsize=64)  # joints of an arm are alike
 def _characteristics(
-    mesh: Mesh, rated_torque: float, cup_compliance: float, t1: float, t2: float
+    mesh: Mesh, rated_torque: float, cup_compliance: float, t1: float, t2: float, overlap: float
 ) -> Characteristics:
     teeth, torque = MeshOverTurn(mesh, _turn(mesh)), stiffness_steps(t1, t2)
     beta = teeth.torsion(torque).mean(axis=0) + cup_compliance * torque
-    size = min(ECCENTRICITY, 0.5 * largest_displacement(mesh.geometry)[0])
+    too_much, half = largest_displacement(mesh.geometry)[0], 0.5 * rated_torque
+    size, limit = min(_OF_ONE, 0.5 * too_much), _eccentricity_of_overlap(mesh, overlap)
     return Characteristics(
         mesh.geometry.module,
         t1,
@@ -146,8 +159,16 @@ def _characteristics(
         teeth.lost_motion(),
         teeth.least_backlash(),
         _loads(teeth, rated_torque),
-        _order_2(replace(mesh, eccentricity=size, runout=0.0), 0.5 * rated_torque) / size,
+        _order_2(mesh, size, half) / size,
+        tuple((each, _order_2(mesh, each, half)) for each in ECCENTRICITIES if each < 0.5 * too_much),
+        (limit, _order_2(mesh, limit, half)),
     )
+
+
+def mean_torsion(drive: Drive, torque: Floats) -> Floats:
+    """Torsion (n,) [rad] at torques (n,) [N m] over a turn, cup included."""
+    teeth = MeshOverTurn(drive.mesh, _turn(drive.mesh))
+    return np.asarray(teeth.torsion(torque).mean(axis=0) + drive.cup_compliance * torque)
 
 
 def stiffness_steps(t1: float, t2: float) -> Floats:
@@ -177,10 +198,33 @@ def _turn(mesh: Mesh) -> Floats:
     return 2.0 * np.pi * share
 
 
-@lru_cache(maxsize=64)
-def _order_2(mesh: Mesh, torque: float) -> float:
-    """Amplitude of order 2 of the wave generator in the torsion of an eccentric mesh [rad]."""
+@lru_cache(maxsize=256)
+def _order_2(mesh: Mesh, eccentricity: float, torque: float) -> float:
+    """Amplitude of order 2 of the wave generator in the torsion of a mesh with an eccentricity [rad]."""
+    if math.isnan(eccentricity):
+        return math.nan
     coarse, fine = np.arange(_ERROR_MOMENTS), slot_phases(mesh.geometry, _ERROR_PHASES)
     angle = np.add.outer(np.pi / _ERROR_MOMENTS * coarse, fine).ravel()
-    beta = MeshOverTurn(mesh, angle).torsion(np.array([torque]))[:, 0]
+    eccentric = replace(mesh, eccentricity=eccentricity, runout=0.0)
+    beta = MeshOverTurn(eccentric, angle).torsion(np.array([torque]))[:, 0]
     return float(2.0 * abs(np.mean(beta * np.exp(-2j * angle))))
+
+
+def _eccentricity_of_overlap(mesh: Mesh, overlap: float) -> float:
+    """The eccentricity at which the lobes overlap so far at the worst wave generator angle [m].
+
+    That is where it stands across the long axis; by bisection.
+    """
+
+    def found(eccentricity: float) -> float:
+        across = replace(mesh, eccentricity=0.0, runout=1j * eccentricity)
+        return MeshOverTurn(across, slot_phases(mesh.geometry)).overlap()
+
+    low, high = 0.0, 0.2 * mesh.geometry.module  # as far as tolerances look
+    high = min(high, 0.99 * largest_displacement(mesh.geometry)[0])
+    if not found(low) < overlap < found(high):
+        return math.nan
+    while high - low > _FINE_ECCENTRICITY:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if found(middle) < overlap else (low, middle)
+    return low

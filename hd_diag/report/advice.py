@@ -226,4 +226,5 @@ def worst(found: Sequence[Gauge]) -> str:
 
 def _gauge(name: str, limit: str, one: Limited) -> Gauge:
     value, most = si(one.value, one.std, one.unit), size(one.limit, one.unit)
-    return Gauge(name, one.place, f"{value}; {limit} {most}: {_TOLD[one.place]}", one.value / one.limit)
+    share = one.value / one.limit if one.limit > 0.0 else 2.0  # nothing is allowed: the end of the scale
+    return Gauge(name, one.place, f"{value}; {limit} {most}: {_TOLD[one.place]}", share)

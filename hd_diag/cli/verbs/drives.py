@@ -49,14 +49,15 @@ _PAGE = {
     "k3": "Torsional stiffness from T2 on [N m/rad].",
     "t1": "T1 [N m]. [default: a quarter of the rated torque]",
     "t2": "T2 [N m]. [default: 0.86 of the rated torque]",
+    "lost_motion": "Lost motion [arcmin]. [default: none]",
 }
-_REQUIRED = ("ratio", "rated_torque", "k1", "k2", "k3")
 
 
 @options.verb(
     "gear --size 20 --ratio 160 --rated-torque 40 --k1 16e3 --k2 25e3 --k3 29e3 --t1 7 --t2 25 --out f.yaml"
 )
-@options.numbers(((name, click.FLOAT, text) for name, text in _PAGE.items()), _REQUIRED)
+@click.argument("name", required=False)
+@options.numbers((name, click.FLOAT, text) for name, text in _PAGE.items())
 @click.option("--accuracy", type=float, help="Transmission accuracy [arcmin]. [default: 1.5]")
 @options.shown(
     "--output",
@@ -65,16 +66,21 @@ _REQUIRED = ("ratio", "rated_torque", "k1", "k2", "k3")
     type=click.Choice(["flexspline", "circular_spline"]),
 )
 @options.shown("--joint", "joint_1", "Name of the joint.")
-@click.option("--out", required=True, type=options.Target(), help="The file.")
+@click.option("--out", type=options.Target(), help="The file. [default: none; the drive is only shown]")
+@options.OVERWRITE
 @options.figure_option("the tooth pair")
 @options.JSON
 def gear() -> None:
     """Write a parameter file for a drive from its catalogue page.
 
-    Teeth, neutral curve and clearance are scaled from the example drive; the compliances are fitted to K1, K2
-    and K3; limits and tolerances are scaled. The file says what was given, what is assumed and how well K1,
-    K2 and K3 are met. A catalogue gives the ratio with the circular spline fixed, for example 100; if the
-    output is the circular spline, the joint's ratio is 101.
+    NAME is a gear of the table in this package: CSG-25-100 is series, size and ratio. No numbers are needed
+    then; those that are given beat the table's. A gear that is not in it needs size, ratio, rated torque, K1,
+    K2 and K3, better T1 and T2, too.
+
+    Teeth and neutral curve are scaled from the example drive; the place of the slots and the compliances are
+    fitted to the page's torsion curve from zero torque on; limits and tolerances are scaled. The file says
+    what was given, what is assumed and how well the curve is met. A catalogue gives the ratio with the
+    circular spline fixed, for example 100; if the output is the circular spline, the joint's ratio is 101.
     """
 
 

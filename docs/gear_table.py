@@ -1,0 +1,51 @@
+"""Write docs/tables/gears.md: how well drives made from their pages have the torsion curves of these.
+
+    python docs/gear_table.py
+
+Gears whose pages are the same stand in one row. 115 gears take about half a minute.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from hd_diag.config.assessment import Assessment, assess
+from hd_diag.config.configuration import resolve
+from hd_diag.gear.catalogue import Gear, table
+
+TABLE = Path(__file__).with_name("tables") / "gears.md"
+ARCSEC = np.pi / 648_000.0  # [rad]
+HEAD = (
+    "| gears | torsion at T1/10, T1/4, T1/2, T1, (T1 + T2)/2, T2, 1.5 T2, 2 T2 over the page's [%] | lost "
+    "motion [arcsec] | overlap at rest [µm] | force at rest [N] |\n|---|---|---|---|---|"
+)
+
+
+def assessed(gear: Gear) -> Assessment:
+    """What the drive of a gear is."""
+    given = {f"joint_1.gear.{name}": getattr(gear, name) for name in gear._fields if name != "series"}
+    config = resolve(given)
+    return assess(config, config.joints[0])
+
+
+def rows(gears: Mapping[str, Gear]) -> Iterable[str]:
+    """Lines of the table for some gears of it, those with the same page in one."""
+    same: dict[tuple[float, ...], list[str]] = {}
+    for name, gear in gears.items():
+        same.setdefault(tuple(gear[1:]), []).append(name)
+    for names in same.values():
+        found = assessed(gears[names[0]])
+        _, page, reached = found.torsion
+        off = ", ".join(f"{value:+.1f}" for value in 100.0 * (reached / page - 1.0))
+        rest = found.found
+        yield (
+            f"| {', '.join(names)} | {off} | {rest.lost_motion / ARCSEC:.1f} | "
+            f"{rest.loads.overlap * 1e6:.1f} | {rest.loads.idle:.1f} |"
+        )
+
+
+if __name__ == "__main__":
+    TABLE.write_text("\n".join([HEAD, *rows(table())]) + "\n", encoding="utf-8")

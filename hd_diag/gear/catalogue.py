@@ -1,0 +1,117 @@
+"""Gears whose catalogue page is known by name, and what a gear of some size can have.
+
+The table beside this module holds component sets HFUC and CSG (cup), HFUS and SHG (hollow shaft) of Harmonic
+Drive SE, sizes 11 to 90: facts of the maker's catalogue as tabulated in AimanHaidar/harmonic-drive-selector,
+commit e1df012, data/reducers_tables.py (Apache-2.0). Rated torques are those at 2000 rpm, K1 to K3 mean
+values for ratios 30, 50, 80 and above. T1 of size 14 is 2.0 N m here; 0.2 for CSG there is a slip.
+"""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import math
+import re
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+_NAME = re.compile(r"([a-z]+)[ _/-]*(\d+)[ _/-]+(\d+)(?:[ _/-].*)?", re.IGNORECASE)  # units: CSG-25-100-2UH
+_NEAREST = 3  # names that an error tells
+
+_FAR = 3.0  # from the table's, either way, no gear of a size is [-]
+_ARCMIN = math.pi / 10800.0  # [rad]
+_KGF = 9.80665  # [N]
+_UNITS = {
+    "N m/rad": {
+        "× 10⁴ N m/rad": 1e4,
+        "N m/arcmin": 1.0 / _ARCMIN,
+        "kgf m/arcmin": _KGF / _ARCMIN,
+        "kN m/rad": 1e3,
+        "N mm/rad": 1e-3,
+    },
+    "N m": {"kgf m": _KGF, "N mm": 1e-3},
+}
+"""What else pages give a value in, by its unit inside."""
+
+
+class Gear(NamedTuple):
+    """A gear of the table: size [0.1 inch], ratio [-], torques [N m], torsional stiffness [N m/rad]."""
+
+    series: str
+    size: float
+    ratio: float
+    rated_torque: float
+    k1: float
+    k2: float
+    k3: float
+    t1: float
+    t2: float
+
+
+@lru_cache(maxsize=1)
+def table() -> Mapping[str, Gear]:
+    """All gears by their names, as CSG-25-100: series, size, ratio."""
+    with Path(__file__).with_suffix(".csv").open(encoding="utf-8", newline="") as file:
+        rows = [Gear(series, *map(float, numbers)) for series, *numbers in list(csv.reader(file))[1:]]
+    return {f"{row.series}-{row.size:.0f}-{row.ratio:.0f}": row for row in rows}
+
+
+def named(name: str) -> tuple[str, Gear]:
+    """A gear with its name as the table has it; raises ValueError naming the nearest.
+
+    Upper or lower case; what follows the ratio says how the gear is housed and is left out.
+    """
+    parts = _NAME.fullmatch(name.strip())
+    plain = "-".join(parts.groups()).upper() if parts else name
+    if plain in table():
+        return plain, table()[plain]
+    series = ", ".join(sorted({gear.series for gear in table().values()}))
+    raise ValueError(
+        f"no gear {name!r} in the table ({series}); the nearest are {', '.join(_nearest(plain, parts))}: "
+        "of another gear give the numbers of its page"
+    )
+
+
+def _nearest(plain: str, parts: re.Match[str] | None) -> list[str]:
+    if not parts:
+        return difflib.get_close_matches(plain.upper(), table(), _NEAREST, cutoff=0.0)
+    size, ratio = (math.log(max(float(part), 1.0)) for part in parts.groups()[1:])
+
+    def distance(name: str) -> tuple[float, float]:
+        gear = table()[name]
+        other = 1.0 - difflib.SequenceMatcher(None, gear.series, plain.partition("-")[0]).ratio()
+        return abs(math.log(gear.size) - size) + abs(math.log(gear.ratio) - ratio), other
+
+    return sorted(table(), key=distance)[:_NEAREST]
+
+
+def usual(name: str, size: float, ratio: float) -> float:
+    """What gears of a size and about this ratio have of a column of the table, in its unit.
+
+    Stiffness and torque go with the cube of the size: K between sizes 11 and 90 within a factor of 1.5, T1
+    and T2 of all but the smallest too.
+    """
+    ratios = {gear.ratio for gear in table().values()}
+    nearest = min(ratios, key=lambda each: abs(math.log(each / abs(ratio))))
+    same = [gear for gear in table().values() if gear.ratio == nearest]
+    logs = [math.log(getattr(gear, name) / gear.size**3) for gear in same]
+    return size**3 * math.exp(math.fsum(logs) / len(logs))
+
+
+def check(name: str, value: float, unit: str, size: float, ratio: float) -> None:
+    """Raise ValueError where no gear of a size has such a K1, K2, K3, T1 or T2, with the unit meant."""
+    expected = usual(name, size, ratio)
+
+    def far(factor: float) -> float:
+        return abs(math.log(value * factor / expected))
+
+    if far(1.0) <= math.log(_FAR):
+        return
+    meant = min(_UNITS[unit], key=lambda each: far(_UNITS[unit][each]))
+    factor = _UNITS[unit][meant]
+    advice = "look at size and unit"
+    if far(factor) <= math.log(_FAR):
+        advice = f"if the page means {value:g} {meant}, write {value * factor:.4g}"
+    raise ValueError(f"no gear of size {size:.3g} has {value:g} {unit}, usual is {expected:.2g}: {advice}")
