@@ -297,6 +297,8 @@ a publisher of best effort | node | heard likewise
     test_node.py::test_a_best_effort_publisher_that_appears_later
 a clock set back | node | state begins anew
     test_node.py::test_simulated_time_that_jumps_back
+a recorder's clock set back | bags | told; what comes after is another recording
+    test_recorder_clock.py::test_a_record_begins_another_recording_there
 requests that make no sense | node | answered or dropped; samples go on
     test_node.py::test_requests_that_make_no_sense_are_survived
 metadata that miscounts | verbs on bags | told

@@ -57,7 +57,7 @@ def find_files(path: Path, *, lenient: bool = False) -> BagFiles:
     # A recording that was killed may have files that its metadata does not know yet. Of a file and its
     # compressed copy the copy, which comes later in the order of names, is the unfinished one.
     known = {_plain(file) for file in files.paths}
-    for file in sorted(path.iterdir(), key=_natural):
+    for file in sorted(path.iterdir(), key=natural):
         if PurePath(_plain(file)).suffix in _STORED and _plain(file) not in known and file.is_file():
             known.add(_plain(file))
             files.paths.append(file)
@@ -102,7 +102,7 @@ def _plain(file: Path) -> str:
     return file.name.removesuffix(_PACKED)
 
 
-def _natural(path: Path) -> list[tuple[int, str]]:
+def natural(path: Path) -> list[tuple[int, str]]:
     """Key that sorts ``bag_10`` after ``bag_9``."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]
 

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from hd_diag.bag.block import Block, joined
 from hd_diag.bag.errors import BagError, is_locked
-from hd_diag.bag.mcap_chunk import PIECE, Section
+from hd_diag.bag.mcap_chunk import MESSAGE, PIECE, Section
 from hd_diag.bag.mcap_scan import DamagedChunk, Scan
+from hd_diag.bag.recorder_clock import SET_BACK, RecorderClock
 
 # What is read ahead takes no more memory than this [byte].
 _AHEAD = 6 << 20
@@ -44,7 +47,10 @@ class McapStorage:
         self._check_declared({number for number, count in counts.items() if count})
 
     def blocks(self, numbers: Sequence[int]) -> Iterator[Block]:
-        """Messages of some channels in the order of log time; BagError where a chunk is damaged."""
+        """Messages of some channels in the order of log time; BagError where a chunk is damaged.
+
+        Where the recorder's clock was set back, those of after it come behind those of before.
+        """
 
         def chosen(sections: list[Section]) -> Block:
             block = self._scan.load(sections)
@@ -54,7 +60,8 @@ class McapStorage:
         try:
             unneeded = self.topics.keys() - set(numbers)
             sections = [section for section in self._sections() if section.channel not in unneeded]
-            for block in _ordered(_stretches_of(sections), chosen):
+            following = self._clock_stretches(sections, chosen)
+            for block in itertools.chain.from_iterable(_ordered(_stretches_of(s), chosen) for s in following):
                 if int(block.log_time[0]) < 0 or int(block.publish_time.min()) < 0:
                     raise ValueError("a message has a time beyond the year 2262")
                 yield block
@@ -62,6 +69,28 @@ class McapStorage:
             if self._file.closed:
                 raise BagError(self.path, "the bag was closed") from exc
             raise exc if isinstance(exc, BagError) else BagError(self.path, exc) from exc
+
+    def _clock_stretches(
+        self, sections: Sequence[Section], load: Callable[[list[Section]], Block]
+    ) -> Iterator[list[Section]]:
+        """Sections between which the clock was not set back.
+
+        Only where one declares a time from before what stands before it, both are looked into.
+        """
+        following: list[Section] = []
+        reach = -(2**63)
+        for section in sections:
+            if following and section.start < reach - SET_BACK:
+                clock = RecorderClock()
+                before, block = load(_last_of(following)), load([section])
+                clock.set_back(before.channel, before.log_time)
+                if rows := clock.set_back(block.channel, block.log_time):
+                    head, section = _parted(section, block, rows[0])
+                    yield following + head
+                    following, reach = [], -(2**63)
+            following.append(section)
+            reach = max(reach, section.end)
+        yield following
 
     def _sections(self) -> list[Section]:
         """Sections, or parts of large ones; one that is damaged is an error when it is its turn."""
@@ -107,6 +136,28 @@ class McapStorage:
         return counts, error
 
 
+def _last_of(sections: Sequence[Section]) -> list[Section]:
+    """The last sections, of about `PIECE`."""
+    count = 1
+    while count < len(sections) and _size(sections[-count:]) < PIECE:
+        count += 1
+    return list(sections[-count:])
+
+
+def _parted(section: Section, block: Block, row: int) -> tuple[list[Section], Section]:
+    """What of a section stands before a message of its block, and the rest."""
+    place, size = section.part or (0, section.content_size)
+    at = int(block.offset[row]) - MESSAGE.size
+    if at == 0:
+        return [], section
+    times = block.log_time
+    before, after = (replace(section, part=part) for part in ((place, at), (place + at, size - at)))
+    if row:
+        before.start, before.end = int(times[:row].min()), int(times[:row].max())
+    after.start, after.end = int(times[row:].min()), int(times[row:].max())
+    return [before] if row else [], after
+
+
 def _size(sections: Sequence[Section]) -> int:
     """What sections take in memory [byte]."""
     return sum(s.part[1] if s.part else max(s.content_size, s.size) for s in sections)
@@ -130,15 +181,21 @@ def _ordered(
 ) -> Iterator[Block]:
     """Blocks whose log times never decrease; messages of equal time keep the order of the file.
 
-    Raises ValueError where times are so disordered that sorting takes more than 32 MiB, or where a chunk
-    holds messages from before the time that it declares.
+    Where the clock was set back within a stretch the times of after it come behind those of before. Raises
+    ValueError where times are so disordered that sorting takes more than 32 MiB, or where a chunk holds
+    messages from before the time that it declares.
     """
     starts = [min(section.start for section in stretch) for stretch in stretches]
     turns = sorted(range(len(stretches)), key=lambda number: (starts[number], number))
     blocks = _ahead([stretches[number] for number in turns], load_one)
     held: dict[int, Block] = {}
-    released = -(2**63)
-    for turn, (number, loaded) in enumerate(zip(turns, blocks, strict=True), start=1):
+    released, clock, last = -(2**63), RecorderClock(), -1
+    for turn, (number, whole) in enumerate(zip(turns, blocks, strict=True), start=1):
+        clock, last = clock if number == last + 1 else RecorderClock(), number
+        *before, loaded = clock.stretches(whole)
+        for part in before:
+            yield joined([*(block for _, block in sorted(held.items())), part])
+            held, released = {}, -(2**63)
         if len(loaded) and int(loaded.log_time.min()) < released:
             raise ValueError(
                 "a chunk holds messages from before its declared start; hd-diag recover mends it"

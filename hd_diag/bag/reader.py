@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -16,8 +17,9 @@ from rosbags.typesys.store import Typestore
 from hd_diag.arrays import Integers, Times
 from hd_diag.bag.block import Block, Payload, Topic
 from hd_diag.bag.errors import BagError
-from hd_diag.bag.folder import find_files, unpack, unpacked
+from hd_diag.bag.folder import find_files, natural, unpack, unpacked
 from hd_diag.bag.mcap_storage import McapStorage
+from hd_diag.bag.recorder_clock import SET_BACK
 from hd_diag.bag.sqlite_file import SqliteFile, is_sqlite
 from hd_diag.bag.typestore import standard_joint_state, store_of
 from hd_diag.messages.joint_states import JOINT_STATE, Rejection, decode_joint_states
@@ -90,6 +92,7 @@ class BagReader(AbstractContextManager["BagReader"]):
             self._message_compression = found.message_compression
             for file in self.paths:
                 self._add(file)
+            self._put_in_order()
         except BaseException as exc:
             self.close()
             if isinstance(exc, OSError):
@@ -123,6 +126,8 @@ class BagReader(AbstractContextManager["BagReader"]):
 
     def batches(self, topics: Iterable[str] | None = None, *, grouped: bool = False) -> Iterator[Batch]:
         """Messages in the order of log time; those of equal time in the order of the file; files in sequence.
+
+        Where a recorder's clock was set back, messages of after it come behind those of before.
 
         All topics by default. A batch ends where the topic changes; if `grouped`, order is kept within each
         topic alone, and those that alternate are taken apart over stretches of a few megabytes.
@@ -214,6 +219,21 @@ class BagReader(AbstractContextManager["BagReader"]):
             known = self._topics.setdefault((topic.name, topic.type_name, topic.foreign), topic)
             known.count += topic.count if known is not topic else 0
             self._sources[-1][2][number] = known
+
+    def _put_in_order(self) -> None:
+        """Put files that are listed otherwise than they are numbered in the order of their times.
+
+        Those whose times overlap by more than a clock may be late stay as listed: a clock was set back.
+        """
+        listed = [path for path, *_ in self._sources]
+        if listed == sorted(listed, key=natural):
+            return
+        ordered = sorted(self._sources, key=lambda source: source[1].start)
+        pairs = itertools.pairwise(source[1] for source in ordered)
+        if all(one.end - other.start <= SET_BACK for one, other in pairs):
+            self._sources = ordered
+            place = {path: i for i, (path, *_) in enumerate(ordered)}
+            self.paths.sort(key=lambda path: place.get(path, len(place)))
 
     def types(self, topic: Topic) -> Typestore:
         """Types as the bag means them for a topic; BagError where it does not say."""

@@ -17,12 +17,14 @@ import numpy as np
 from hd_diag.bag.block import Block, LongMessage, Topic
 from hd_diag.bag.errors import BagError
 from hd_diag.bag.mcap_chunk import AT_ONCE, LARGE
+from hd_diag.bag.recorder_clock import RecorderClock
 from hd_diag.messages.schemas import Definition
 
 # A damaged or hostile database can keep a query busy for ever; an honest row takes less than 200 steps.
 _STEPS_PER_BYTE = 100
 _STEPS_PER_TURN = 10_000
 _ROWS, _BYTES = 4096, 4 << 20  # that are read at a time
+_HEADS = 1 << 16  # rows whose times are looked through at a time
 _DAMAGE = (sqlite3.Error, TypeError, ValueError, OverflowError)
 _COUNT = """
     SELECT topic_id, COUNT(*), MIN(timestamp), MAX(timestamp),
@@ -74,21 +76,23 @@ class SqliteFile:
                 self.topics[number].count = count
 
     def blocks(self, numbers: Sequence[int] | None) -> Iterator[Block]:
-        """Messages of some topics, or all, in the order of time; BagError where the database is damaged.
+        """Messages of some topics in the order of time, or of all as they stand; BagError where damaged.
 
-        Of all topics those above `LARGE` are given without their content, where Python can read that bit by
-        bit (3.11 and later).
+        Where the recorder's clock was set back, messages of after it come behind those of before. Of all
+        topics those above `LARGE` are given without their content, where Python can read that bit by bit
+        (3.11 and later).
         """
-        which, content, read = "", "CAST(data AS BLOB)", 0
+        which, content, read, order = "true", "CAST(data AS BLOB)", 0, "id"
         if numbers is not None:
-            which = f"WHERE topic_id IN ({','.join(map(str, numbers))})"
+            which, order = f"topic_id IN ({','.join(map(str, numbers))})", "timestamp, id"
         elif hasattr(sqlite3.Connection, "blobopen"):
             content = f"CASE WHEN LENGTH(data) <= {LARGE} THEN {content} END"
-        query = f"SELECT topic_id, timestamp, {content}, id FROM messages {which} ORDER BY timestamp, id"
+        query = f"SELECT topic_id, timestamp, {content}, id FROM messages WHERE {which} {{}} ORDER BY {order}"
         try:
             with closing(self._open()) as db:
-                cursor = db.execute(query)
-                for block in self._some(cursor):
+                parts = [""] if numbers is None else _clock_stretches(db, which)
+                cursors = (db.execute(query.format(part)) for part in parts)
+                for block in itertools.chain.from_iterable(map(self._some, cursors)):
                     read += int(block.size.sum()) + len(block)
                     if read > self._size:
                         raise TypeError("more data than the file is large")
@@ -161,6 +165,18 @@ class SqliteFile:
         if not isinstance(exc, sqlite3.Error) or type(exc) is sqlite3.DatabaseError:
             what += f"; {self._advice}"
         return BagError(self._path, what)
+
+
+def _clock_stretches(db: sqlite3.Connection, which: str) -> list[str]:
+    """Conditions, one after the other, for the rows between which the recorder's clock was not set back."""
+    clock, found = RecorderClock(), list[int]()
+    cursor = db.execute(f"SELECT id, topic_id, timestamp FROM messages WHERE {which} ORDER BY id")
+    while rows := cursor.fetchmany(_HEADS):
+        number, channel, time = np.array(rows, np.int64).T
+        found += number[clock.set_back(channel, time)].tolist()
+    # The plus keeps SQLite from sorting by number first: the index of times gives the order.
+    begins, ends = [f"AND +id >= {row} " for row in found], [f"AND +id < {row}" for row in found]
+    return [begin + end for begin, end in zip(["", *begins], [*ends, ""], strict=True)]
 
 
 def _topics(db: sqlite3.Connection) -> dict[int, Topic]:

@@ -13,7 +13,7 @@ import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
-from hd_diag.arrays import Floats
+from hd_diag.arrays import Floats, Times
 from hd_diag.bag.block import Topic
 from hd_diag.bag.errors import BagError
 from hd_diag.bag.reader import BagReader
@@ -22,6 +22,7 @@ from hd_diag.messages.fields import FieldReader
 from hd_diag.messages.joint_states import Rejection
 from hd_diag.messages.publications import OWN_OUTPUTS
 from hd_diag.messages.schemas import deserialize
+from hd_diag.streams.rules import CLOCK_JUMP
 from hd_diag.streams.signals import Signal, Unit
 
 _MOST_MESSAGES = 50_000  # of a topic that are looked at: its first minute at 1 kHz
@@ -182,13 +183,22 @@ def _labels(store: Typestore, element: Any, value: Any, texts: list[list[str]]) 
 def _number(topic: Topic, path: str, dtype: str, parts: list[tuple[Any, Floats]], start: int) -> NumericField:
     stamp, values = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     good = np.isfinite(values)
-    time, values = (stamp[good] - start) * 1e-9, values[good]
+    stamp, values = _rising(stamp[good]), values[good]
+    order = np.argsort(stamp, kind="stable")
+    time, values = np.asarray((stamp[order] - start) * 1e-9, np.float64), values[order]
     found = re.findall(r"\[([^\]]+)\]", path)
     tag = found[0] if found else ""
     rest = path.replace(f"[{tag}]", "", 1).lower()
     kind = next((kind for kind, words in _KINDS.items() if re.search(words, rest)), "")
     values = values if values.size else np.zeros(1)
     return NumericField(topic, path, tag, kind, _unit(kind, dtype, values), time, values)
+
+
+def _rising(stamp: Times) -> Times:
+    """Stamps [ns] that go on where a clock was set back."""
+    step = np.diff(stamp, prepend=stamp[:1])
+    back: Times = np.cumsum(np.where(step < -CLOCK_JUMP, step, 0))
+    return stamp - back
 
 
 def _unit(kind: str, dtype: str, values: Floats) -> str:

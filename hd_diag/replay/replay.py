@@ -216,7 +216,7 @@ class _Run:
         """
         if self._sources.events:
             return LAST_TIME
-        if self._next_report is None:
+        if self._next_report is None or self._next_report > now + self._period:  # a clock was set back
             self._next_report = now + self._period
         elif now - self._next_report > _LONGEST_SILENCE:
             self._next_report += (now - self._next_report) // self._period * self._period

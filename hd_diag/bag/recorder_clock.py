@@ -1,0 +1,71 @@
+"""Where a recorder's clock was set back: told by the order in which a file holds messages."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+
+from hd_diag.arrays import Integers, Times
+from hd_diag.bag.block import Block
+
+SET_BACK = 300_000_000
+"""A channel goes back by less where threads write its messages out of turn [ns]."""
+
+# More in one block are no clock but disorder, which is sorted.
+_MOST = 100
+
+
+class RecorderClock:
+    """Follows the messages of a file, in its order.
+
+    A recorder writes the messages of a channel as they come; those of several may change places, and threads
+    may write blocks of some milliseconds out of turn. Where a channel goes back by more than `SET_BACK`, the
+    clock was set back: nothing of after it is sorted among what came before.
+    """
+
+    def __init__(self) -> None:
+        self._reach: dict[int, int] = {}  # greatest log time of each channel [ns]
+
+    def stretches(self, block: Block) -> Iterator[Block]:
+        """Parts of a block, in the order of its file, within each of which the clock was not set back."""
+        bounds = [0, *self.set_back(block.channel, block.log_time), len(block)]
+        if len(bounds) == 2:
+            yield block
+            return
+        for begin, end in itertools.pairwise(bounds):
+            yield block[begin:end]
+
+    def set_back(self, channel: Integers, log_time: Times) -> list[int]:
+        """Rows at which the clock was set back, of messages (n,) that follow those before."""
+        found: list[int] = []
+        begin = 0
+        while (
+            begin < len(channel) and (late := self._first_late(channel[begin:], log_time[begin:])) is not None
+        ):
+            if len(found) == _MOST:
+                return []
+            begin += late
+            found.append(begin)
+            self._reach.clear()
+        return found
+
+    def _first_late(self, channel: Integers, log_time: Times) -> int | None:
+        """The first message after the clock was set back; the reach of the channels is that before it."""
+        first, before = None, dict(self._reach)
+        for number in np.unique(channel).tolist():
+            rows = np.flatnonzero(channel == number)
+            reach = np.maximum.accumulate(log_time[rows])
+            reach = np.maximum(reach, self._reach.get(number, reach[0]))
+            self._reach[number] = int(reach[-1])
+            back = np.flatnonzero(log_time[rows] < reach - SET_BACK)
+            if back.size and (first is None or rows[back[0]] < first):
+                first = int(rows[back[0]])
+        if first is None:
+            return None
+        # What other channels have of after it stands right before.
+        known = max([*before.values(), int(log_time[0])])
+        reach = np.maximum(np.maximum.accumulate(log_time[: first + 1]), known)
+        early = np.flatnonzero(log_time[: first + 1] >= reach - SET_BACK)
+        return int(early[-1]) + 1 if early.size else 0
