@@ -252,7 +252,7 @@ class Run:
 
     def _read_files(self, spare: int) -> None:
         """Keep the stamps of the log's files but for the last ones."""
-        found = sorted(self._log.glob("*.mcap"), key=lambda path: int(re.findall(r"\d+", path.stem)[-1]))
+        found = sorted(self._log.glob("*/*.mcap"), key=lambda path: int(re.findall(r"\d+", path.stem)[-1]))
         for path in found[: len(found) - spare]:
             with BagReader(path) as reader:
                 for batch in reader.batches(["/joint_states"]):

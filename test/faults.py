@@ -273,6 +273,12 @@ disk full | fleet | code 2, one line; with room again the same command goes on
     test_cli_fleet.py::test_a_full_disk_under_the_journal_ends_a_run_that_then_goes_on
 disk full | node | LOG_FAILED; samples go on; with room again the log, in a new file
     test_node_log.py::test_it_goes_on_in_a_new_file_when_writing_works_again
+a start where a log lies already | node | a log of its own, named by date and time
+    test_log_retention.py::test_every_start_has_a_log_of_its_own
+logs over `log.max_size` or `log.max_age` | node | the oldest files go, never others' or what is written
+    test_log_retention.py::test_the_oldest_go_until_the_rest_is_within_the_size
+an old log that cannot be deleted | node | LOG_FAILED, which hides no fault of a joint; samples and log go on
+    test_log_retention.py::test_a_file_that_cannot_be_deleted_is_told
 a bit of the journal flipped | fleet | told; that result is judged again
     test_fleet_journal.py::test_a_result_that_has_changed_is_none
 a worker killed by its bag | fleet | an error in that row; the others go on

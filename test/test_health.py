@@ -134,7 +134,26 @@ def test_of_several_the_worst_is_told_and_all_are_named(life: Life) -> None:
     life.run(torque=123.2, broken=30)
     status = life.report(log_state="failed: disk full")
     assert code(status) == ("INPUT_INVALID", 2)
-    assert status.values["fault_codes"] == "LOG_FAILED INPUT_INVALID OUT_OF_RANGE"
+    assert status.values["fault_codes"] == "INPUT_INVALID OUT_OF_RANGE LOG_FAILED"
+    assert status.message.startswith("30 samples rejected")
+    assert status.message.endswith("; log failed: disk full")
+
+
+@pytest.mark.parametrize(("fault", "cause", "level", "message"), [each for each in CAUSES if each[2] == 1])
+def test_what_is_wrong_with_the_log_hides_no_fault_of_a_joint(
+    life: Life, fault: str, cause: dict[str, Any], level: int, message: str
+) -> None:
+    """Of one level the joint's own is told first, and the log's beside it."""
+    limits = {name: value for name, value in cause.items() if isinstance(value, tuple)}
+    how = {name: value for name, value in cause.items() if name not in {*limits, "silent"}}
+    life.monitor.configure(limited(**limits))
+    life.run(**how)
+    after = MS + int(cause.get("silent", 0.0) * SECOND)
+    status = life.report(after, log_state="failed: disk full", log_warning="old.mcap cannot be deleted")
+    assert code(status) == (fault, level)
+    assert status.values["fault_codes"] == f"{fault} LOG_FAILED"
+    assert status.message.startswith(message)
+    assert status.message.endswith("; log failed: disk full; log: old.mcap cannot be deleted")
 
 
 def test_two_findings_of_one_fault_name_it_once(life: Life) -> None:

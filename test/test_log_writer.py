@@ -23,6 +23,7 @@ DATA = sample(START, 0.1, 0.2, 0.3)
 
 def fill(log: LogWriter, first: int = 0, count: int = 10) -> None:
     for i in range(first, first + count):
+        log.split_if_due(START + i)
         log.write("/joint_states", JOINT_STATE, DATA, START + i)
 
 
@@ -35,7 +36,7 @@ def count(path: Path) -> int:
 @pytest.mark.parametrize("name", ["log.mcap", "folder"])
 def test_a_log_is_written_and_finished_whatever_message_cannot_be(tmp_path: Path, name: str) -> None:
     for bad, state in ((False, "off"), (True, "has no known definition")):
-        log = LogWriter(LogConfig(str(tmp_path / name), overwrite=bad))
+        log = LogWriter(LogConfig(str(tmp_path / name), overwrite=True))
         assert log.state == f"writing {tmp_path / name}"
         fill(log)
         if bad:
@@ -53,21 +54,19 @@ def test_a_log_is_written_and_finished_whatever_message_cannot_be(tmp_path: Path
     [
         ("/proc/no/log.mcap", "No such file or directory"),
         ("/dev/null/log", "Not a directory"),
-        ("taken.mcap", "exists already"),
-        ("taken", "exists already"),
+        ("taken.mcap/log", "Not a directory"),
     ],
 )
 def test_a_path_that_cannot_be_written_fails_and_stops_nothing(
     tmp_path: Path, path: str, reason: str
 ) -> None:
     (tmp_path / "taken.mcap").write_bytes(b"precious")
-    (tmp_path / "taken").mkdir()
     log = LogWriter(LogConfig(str(tmp_path / path)))
     assert log.state.startswith("failed: ")
     assert reason in log.state
     fill(log)
     log.flush_if_due()
-    assert log.facts == {"log_state": log.state, "log_lost": "10"}
+    assert log.facts == {"log_state": log.state, "log_lost": "10", "log_warning": ""}
     log.close()
     assert log.state.startswith("failed: ")
     assert (tmp_path / "taken.mcap").read_bytes() == b"precious"
@@ -147,7 +146,7 @@ def truncate(path: Path) -> None:
 def test_files_taken_away_are_noticed_at_the_next_flush(
     tmp_path: Path, name: str, harm: Callable[[Path], None], reason: str, clock: list[float]
 ) -> None:
-    log = LogWriter(LogConfig(str(tmp_path / name), flush_period=0.01))
+    log = LogWriter(LogConfig(str(tmp_path / name), flush_period=0.01, overwrite=True))
     fill(log)
     first = tmp_path / ("log/log_0.mcap" if name == "log" else name)
     wait_until(lambda: (log.flush_if_due(), first.stat().st_size)[1] > 100)
@@ -189,7 +188,7 @@ def test_a_disk_that_has_room_again_is_written_in_a_new_file(
 
     monkeypatch.setattr(os, "write", written)
     (tmp_path / "log_1.mcap").write_text("another's")
-    log = LogWriter(LogConfig(str(tmp_path / name), flush_period=0.0))
+    log = LogWriter(LogConfig(str(tmp_path / name), flush_period=0.0, overwrite=True))
     fill(log)
     log.flush_if_due()
     full[0] = True
@@ -208,7 +207,7 @@ def test_a_disk_that_has_room_again_is_written_in_a_new_file(
     assert log.flush_if_due()
     fill(log, 20, 7)
     new = tmp_path / ("log/log_1.mcap" if name == "log" else "log_2.mcap")
-    assert log.facts == {"log_state": f"writing {new}", "log_lost": "10"}
+    assert log.facts == {"log_state": f"writing {new}", "log_lost": "10", "log_warning": ""}
     log.close()
     assert (count(tmp_path / name), count(new)) == (17 if name == "log" else 10, 7)
     assert (tmp_path / "log_1.mcap").read_text() == "another's"
@@ -240,7 +239,7 @@ def test_the_disk_is_made_to_take_it_and_nobody_waits_for_that(
         done.wait(30.0)
 
     monkeypatch.setattr(os, "fdatasync", slow)
-    log = LogWriter(LogConfig(str(tmp_path / "log"), flush_period=0.0, sync_period=period))
+    log = LogWriter(LogConfig(str(tmp_path / "log"), flush_period=0.0, sync_period=period, overwrite=True))
     for first in range(0, 50, 10):
         fill(log, first)
         log.flush_if_due()

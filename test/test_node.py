@@ -49,7 +49,7 @@ REFUSED = [*VALUES, ({"joints": ["elbow"]}, "read-only")]
 def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     """A node with two joints; its tests share its time, which only goes forward."""
     folder = tmp_path_factory.mktemp("arm")
-    given = parameters(*JOINTS, **QUICK, mesh_rate=10.0, log__path=str(folder / "log"))
+    given = parameters(*JOINTS, **QUICK, mesh_rate=10.0, log__path=str(folder / "log"), log__overwrite=True)
     with running(folder, given) as rig:
         rig.folder = folder  # type: ignore[attr-defined]
         yield rig

@@ -11,22 +11,30 @@ import pytest
 from live import MS, START, parameters
 from logs import content
 from rcl_interfaces.srv import DescribeParameters
+from rclpy.serialization import deserialize_message
 from running import Rig, feed, running
+from sensor_msgs.msg import JointState
 
 from hd_diag.bag import BagReader
+from hd_diag.config.parameters import NODE_PARAMETERS
 from hd_diag.replay.replay import replay
 
 pytestmark = pytest.mark.usefixtures("ros")
 
 stamps = itertools.count(START, MS)
-FIXED = ("path", "compression", "flush_period", "sync_period", "split_size", "split_duration", "overwrite")
+FIXED = tuple(p.name.removeprefix("log.") for p in NODE_PARAMETERS if p.name.startswith("log."))
 
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     """A node that writes into the folder ``log``; its tests share its time."""
     folder = tmp_path_factory.mktemp("logged")
-    log = {"log.path": str(folder / "log"), "log.flush_period": 0.05, "log.sync_period": 0.1}
+    log = {
+        "log.path": str(folder / "log"),
+        "log.overwrite": True,
+        "log.flush_period": 0.05,
+        "log.sync_period": 0.1,
+    }
     with running(folder, parameters(diagnostics_rate=20.0, **log)) as rig:
         rig.folder = folder  # type: ignore[attr-defined]
         yield rig
@@ -120,3 +128,44 @@ def test_what_it_wrote_is_whole_and_replays(rig: Rig, publisher: Any, tmp_path: 
         # Where the disk was full the log may end between a cause and what came of it.
         assert max(len(logged), len(again[topic])) - len(both) <= 1, topic
     assert len(predictions(rig)) >= 300
+
+
+def written(file: Path) -> float:
+    return file.stat().st_mtime
+
+
+def test_every_start_has_a_log_and_what_retention_leaves_replays(tmp_path: Path) -> None:
+    """Without the outputs too, which the replay makes; a fault of the log hides none of a joint."""
+    given = parameters(
+        diagnostics_rate=20.0,
+        log__path=str(tmp_path / "arm"),
+        log__split_duration=0.5,
+        log__max_age=10.0,
+        log__topics="inputs",
+    )
+    starts = []
+    for number in range(2):
+        with running(tmp_path, given) as rig:
+            rig.values("joint_1", lambda values: values["prediction"] == "map")
+            errors = rig.hear({"hd_diag/transmission_error": JointState})["hd_diag/transmission_error"]
+            starts.append(Path(rig.values("joint_1")["log_state"].removeprefix("writing ")))
+            samples, publisher, first = 0, rig.publisher(), starts[-1]
+            while not samples or (number and first.exists()):  # until its own first samples are too old
+                feed(publisher, stamps, 20, 50.0)
+                samples += 20
+                rig.until(lambda n=samples, e=errors: len(e) == n, "predictions")  # type: ignore[misc]
+                first = first if first != starts[-1] else max(first.glob("*.mcap"), key=written)
+            values = rig.values("joint_1")
+            assert (values["log_lost"], values["log_warning"]) == ("0", "")
+            assert rig.process.end() == 0
+    assert {start.parent for start in starts} == {tmp_path / "arm"}
+    assert [*(tmp_path / "arm").iterdir()] == [starts[1]]
+    with BagReader(starts[1]) as reader:
+        assert not reader.problems
+        assert not [t.name for t in reader.topics if t.name.endswith("transmission_error")]
+    replay(starts[1], tmp_path / "again.mcap")
+    again = content(tmp_path / "again.mcap")
+    topic = f"{rig.process.namespace}/hd_diag/transmission_error"
+    found = [deserialize_message(data, JointState) for _, data in again[topic]]
+    assert 0 < len(found) < samples
+    assert found == errors[-len(found) :]

@@ -32,7 +32,10 @@ def test_the_node_predicts_by_the_model_and_its_log_replays(tmp_path: Path) -> N
     path = write_model(tmp_path / "model.json", *EFFECTS)
     # Relative to the parameter file, which the node runs far from.
     given = parameters(
-        diagnostics_rate=20.0, log__path=str(tmp_path / "log"), joint_1__model_file="model.json"
+        diagnostics_rate=20.0,
+        log__path=str(tmp_path / "log"),
+        log__overwrite=True,
+        joint_1__model_file="model.json",
     )
     (joint,) = config(joint_1__model_file=str(path)).joints
     assert joint.model is not None

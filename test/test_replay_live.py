@@ -67,7 +67,7 @@ def feed_roughly(
 
 def test_a_replay_of_the_nodes_log_is_the_same_to_the_last_bit(tmp_path: Path) -> None:
     log = tmp_path / "log"
-    given = parameters("a", "b", diagnostics_rate=5.0, log__path=str(log), mesh_rate=5.0)
+    given = parameters("a", "b", diagnostics_rate=5.0, log__path=str(log), log__overwrite=True, mesh_rate=5.0)
     changes: list[dict[str, Any]] = [
         {"a__eccentricity__magnitude": 8e-6},
         {"a__limits__residual_rms__warn": 1e-6, "a__limits__residual_rms__error": 2e-6},
@@ -103,7 +103,9 @@ def test_a_replay_of_the_nodes_log_is_the_same_to_the_last_bit(tmp_path: Path) -
 def test_samples_come_before_arrays_and_the_replay_thins_out_alike(tmp_path: Path) -> None:
     """A node that was stopped for a while has much to do: all samples are taken, few arrays published."""
     joints, count = [f"j{number}" for number in range(7)], 600
-    given = parameters(*joints, diagnostics_rate=20.0, log__path=str(tmp_path / "log"), mesh_rate=60.0)
+    given = parameters(
+        *joints, diagnostics_rate=20.0, log__path=str(tmp_path / "log"), log__overwrite=True, mesh_rate=60.0
+    )
     shares: list[float] = []
 
     def recovers(values: dict[str, str]) -> bool:
@@ -185,7 +187,9 @@ def test_a_killed_node_loses_less_than_a_second(tmp_path: Path, seed: int) -> No
     """What others have received of it half a second before its last report is in the log, and all before."""
     log = tmp_path / "log"
     chance = random.Random(seed)
-    with running(tmp_path, parameters("a", "b", log__path=str(log), diagnostics_rate=20.0)) as rig:
+    with running(
+        tmp_path, parameters("a", "b", log__path=str(log), log__overwrite=True, diagnostics_rate=20.0)
+    ) as rig:
         (errors,) = rig.hear({"hd_diag/transmission_error": JointState}).values()
         publisher, stamps = rig.publisher(), itertools.count(START, 2 * MS)
         acknowledged: list[tuple[float, int]] = []

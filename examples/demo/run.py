@@ -142,7 +142,12 @@ def _prepared(folder: Path | None) -> Path:
 def _processes(folder: Path, seconds: float) -> Iterator[tuple[Child, Child]]:
     """Node and joint, running; whatever happens, both have ended afterwards."""
     node, joint = folder / "node.yaml", folder / "joint.yaml"
-    of_node = {"joints": [_JOINT], "diagnostics_rate": _REPORTS, "log.path": str(folder / "log")}
+    of_node = {
+        "joints": [_JOINT],
+        "diagnostics_rate": _REPORTS,
+        "log.path": str(folder / "log"),
+        "log.overwrite": True,
+    }
     node.write_text(dump(resolve(of_node)), encoding="utf-8")
     of_joint = {"joints": [_JOINT], _MAGNITUDE: TRUE_ECCENTRICITY * 1e-6}
     joint.write_text(dump(resolve(of_joint)), encoding="utf-8")

@@ -6,6 +6,7 @@ from hd_diag.bag.block import Topic
 from hd_diag.bag.errors import BagError, check_output, replaced
 from hd_diag.bag.reader import BagReader, Batch, Mixed
 from hd_diag.bag.recover import RecoveryReport, recover
+from hd_diag.bag.retention import LogFolder, Retention
 from hd_diag.bag.rosbag2 import RELIABLE
 from hd_diag.bag.writer import BagWriter
 
@@ -15,9 +16,11 @@ __all__ = [
     "BagReader",
     "BagWriter",
     "Batch",
+    "LogFolder",
     "Mixed",
     "Qos",
     "RecoveryReport",
+    "Retention",
     "Topic",
     "check_output",
     "recover",

@@ -95,6 +95,19 @@ def _put_in_place(draft: Path, old: Path) -> None:
                 file.unlink()
 
 
+def new_file(path: Path, overwrite: bool) -> int:
+    """File descriptor of a new, locked file; what a link leads to is left alone."""
+    flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | (0 if overwrite else os.O_EXCL)
+    fd = os.open(path, flags, 0o666)
+    try:
+        lock(fd, path)
+        os.ftruncate(fd, 0)
+    except BaseException:
+        os.close(fd)
+        raise
+    return fd
+
+
 def lock(fd: int, path: Path) -> None:
     """Lock an open file or folder until it is closed; BagError where another writer of a bag has it."""
     try:

@@ -63,6 +63,9 @@ def find_files(path: Path, *, lenient: bool = False) -> BagFiles:
             files.paths.append(file)
     if not files.paths:
         other = next((f"; {file.name} is a ROS 1 bag" for file in sorted(path.glob("*.bag"))), "")
+        inside = [file.parent for suffix in _STORED for file in path.glob(f"*/*{suffix}")]
+        last = max(inside, key=lambda bag: bag.stat().st_mtime, default=None)
+        other += f"; the last bag in it is {last}" if last else ""
         raise BagError(path, f"holds no .mcap or .db3 file{other}")
     return files
 

@@ -29,7 +29,7 @@ from mcap.opcode import Opcode
 
 from hd_diag.arrays import Bytes, Times
 from hd_diag.bag.block import LongMessage
-from hd_diag.bag.errors import BagError, lock
+from hd_diag.bag.errors import BagError, new_file
 from hd_diag.bag.mcap_chunk import LARGE, MESSAGE, RECORD
 from hd_diag.bag.mcap_scan import MAGIC
 from hd_diag.bag.open_chunk import ROOM, UNKNOWN, OpenChunk, bits
@@ -41,6 +41,8 @@ _COMPRESS = {
     "none": memoryview,
 }
 COMPRESSIONS = tuple(_COMPRESS)
+WRITTEN_BY = "hd_diag"
+"""What the head of a file says of the program that wrote it."""
 # Chunks that may wait to be written: they bound the memory, and what a crash costs.
 _MOST_WAITING = 4
 _LARGE = 4 << 20  # above this a chunk is waited for, as are those before it [byte]
@@ -88,10 +90,10 @@ class McapFile:
         self._indexes = bytearray()  # packed at once: a log of days has a million of them
         self._schemas: dict[int, records.Schema] = {}
         self._channels: dict[int, records.Channel] = {}
-        self._fd = _create(path, overwrite)
+        self._fd = new_file(path, overwrite)
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="bag writer")
         try:
-            self._pool.submit(self._put, MAGIC + _packed(records.Header("ros2", "hd_diag"))).result()
+            self._pool.submit(self._put, MAGIC + _packed(records.Header("ros2", WRITTEN_BY))).result()
         except BaseException:
             self.discard()
             raise
@@ -164,6 +166,22 @@ class McapFile:
             chunk, self._chunk = self._chunk, self._begun()
             self._waiting.append(self._pool.submit(self._store, chunk))
             self.wait(_MOST_WAITING if chunk.size <= _LARGE and chunk.long is None else 0)
+
+    def close_old_chunk(self, now: float, age: float) -> bool:
+        """Close the chunk where its first message has an age [s]; say whether that was done."""
+        is_due = self.opened is not None and now - self.opened >= age
+        if is_due:
+            self.close_chunk()
+        return is_due
+
+    def has_reached(self, size: int, duration: float, log_time: int) -> bool:
+        """Whether it has a size [byte] or, at a log time [ns], a length [s]; 0 stands for none."""
+        if self.start is None:
+            return False
+        if size:
+            self.wait()  # its size decides
+        is_late = duration and log_time - self.start >= int(duration * 1e9)
+        return bool(is_late or (size and self.size >= size))
 
     def wait(self, most: int = 0) -> None:
         """Until no more than so many chunks wait for the operating system; raises what first went wrong."""
@@ -321,19 +339,6 @@ def _record_of(size: int) -> np.dtype[Any]:
     """`MESSAGE` and a content of some size [byte]."""
     names = ["head", "sequence", "log_time", "publish_time", "data"]
     return np.dtype({"names": names, "formats": ["V11", "<u4", "<u8", "<u8", f"V{size}"]})
-
-
-def _create(path: Path, overwrite: bool) -> int:
-    """File descriptor of a new, locked file; what a link leads to is left alone."""
-    flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | (0 if overwrite else os.O_EXCL)
-    fd = os.open(path, flags, 0o666)
-    try:
-        lock(fd, path)
-        os.ftruncate(fd, 0)
-    except BaseException:
-        os.close(fd)
-        raise
-    return fd
 
 
 def _packed(*parts: records.McapRecord) -> bytes:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from mcap.records import Channel, Schema
 from rosbags.interfaces import Qos
 
 from hd_diag.arrays import Bytes, Times
@@ -19,8 +18,9 @@ from hd_diag.bag.block import LongMessage
 from hd_diag.bag.errors import BagError
 from hd_diag.bag.mcap_file import COMPRESSIONS, McapFile, Stream, Written
 from hd_diag.bag.place import Disk, Place
-from hd_diag.bag.rosbag2 import RELIABLE, dump_offers, dump_yaml, metadata, parse_offers, written
-from hd_diag.messages.schemas import Definition, definition
+from hd_diag.bag.rosbag2 import dump_yaml, metadata, written
+from hd_diag.bag.streams import Streams
+from hd_diag.messages.schemas import Definition
 
 _LAST_TIME = 2**63 - 1
 
@@ -89,11 +89,11 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         if not all(n >= 0 for n in (max_size, flush_period, max_duration, sync_period, chunk_size - 1)):
             raise BagError(self.path, "sizes and times must not be negative, and a chunk must have a size")
         self._compression, self._flush_period = compression, flush_period
-        self._max_size, self._max_duration = max_size, int(max_duration * 1e9)
+        self._max_size, self._max_duration = max_size, max_duration
         self._chunk_size, self._overwrite = chunk_size, overwrite
         self._files: list[Written] = []  # the last one is that of `_file`
-        self._streams: dict[tuple[str, str], Stream] = {}
-        self._schemas: dict[tuple[str, str], Schema] = {}
+        self._taken_away: Counter[int] = Counter()  # messages by channel in files that are there no more
+        self._streams = Streams()
         self._closed = False
         self._place, self._disk = Place(self.path), Disk(sync_period)
         with self._guarded():
@@ -111,8 +111,32 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         """Messages written of each topic; after an error those that have reached a file."""
         counts: Counter[str] = Counter()
         for stream in self._streams.values():
-            counts[stream.channel.topic] += written(self._files, stream) if self.error else stream.count
+            counts[stream.channel.topic] += self._reached(stream) if self.error else stream.count
         return dict(counts)
+
+    def has_reached(self, size: int, duration: float, log_time: int) -> bool:
+        """Whether the open file has a size [byte] or, at a log time [ns], a length [s]; 0 stands for none."""
+        return self._file.has_reached(size, duration, log_time)
+
+    def split(self) -> None:
+        """Finish the file and go on in the next one; raises BagError where that fails."""
+        self._check_open()
+        with self._guarded():
+            file = self._file
+            self.flush()
+            self._finish()
+            self._begin(self._number + 1)
+            file.release()
+
+    def take_away(self, paths: Collection[Path]) -> None:
+        """Leave finished files out of the metadata before somebody deletes them."""
+        self._check_open()
+        gone = [file for file in self._files[:-1] if file.path in paths]
+        for file in gone:
+            self._taken_away.update(file.statistics.channel_message_counts)
+        self._files = [file for file in self._files if file not in gone]
+        with self._guarded():
+            self._place.save(metadata(self._files, self._streams.values()))
 
     def add_topic(
         self, topic: str, type_name: str, qos: Qos | str | None = None, known: Definition | None = None
@@ -128,21 +152,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             Where the type is not known, or the bag is closed or failed.
         """
         self._check_open()
-        if (topic, type_name) in self._streams:
-            return
-        if (number := len(self._streams) + 1) == 2**16:  # channel numbers have 16 bits
-            raise BagError(self.path, f"{topic}: a bag holds no more than {number - 1} topics")
-        try:
-            known = known or definition(type_name)
-        except KeyError as exc:
-            raise BagError(self.path, f"type {type_name} of topic {topic} has no known definition") from exc
-        own = known.text.encode(errors="surrogateescape"), known.encoding, type_name  # it may be binary
-        schema = self._schemas.setdefault(own[1:], Schema(len(self._schemas) + 1 if type_name else 0, *own))
-        offers = dump_offers(parse_offers(qos) if isinstance(qos, str) else [qos or RELIABLE])
-        extra = {"offered_qos_profiles": offers, "topic_type_hash": known.type_hash}
-        self._streams[topic, type_name] = Stream(
-            schema, Channel(number, topic, known.messages, extra, schema.id)
-        )
+        self._streams.add(self.path, topic, type_name, qos, known)
 
     def write(
         self,
@@ -174,7 +184,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             self._split_if_due(log_time)
             plain = bytes(data) if isinstance(data, np.ndarray) else data  # a row may have gaps
             self._file.add(self._streams[topic, type_name], log_time, publish, plain)
-            self._close_old_chunk(time.monotonic())
+            self._file.close_old_chunk(time.monotonic(), self._flush_period)
         except (BagError, OSError) as exc:
             raise self._failure(exc) from exc
 
@@ -203,7 +213,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
                 part = slice(done, self._until_split(times, done))
                 stream = self._streams[topic, type_name]
                 done += self._file.add_rows(stream, times[part], published[part], rows[part])
-            self._close_old_chunk(time.monotonic())
+            self._file.close_old_chunk(time.monotonic(), self._flush_period)
 
     def flush_if_due(self, now: float | None = None) -> bool:
         """Hand messages older than the flush period to the operating system; call it from a timer.
@@ -215,7 +225,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             return False
         now = time.monotonic() if now is None else now
         with self._guarded():
-            is_due = self._close_old_chunk(now)
+            is_due = self._file.close_old_chunk(now, self._flush_period)
             self._file.wait()
             self._disk.sync_if_due(self._file, now)
         return is_due
@@ -237,10 +247,10 @@ class BagWriter(AbstractContextManager["BagWriter"]):
                 self._finish()
         with self._guarded():
             self._place.take(exist_ok=True)
-            self._begin(self._place.free(len(self._files)))
+            self._begin(self._place.free(self._number + 1))
         before.release()
         for stream in self._streams.values():
-            stream.count = written(self._files, stream)
+            stream.count = self._reached(stream)
         self.error = None
 
     def close(self, *, whole: bool = True) -> None:
@@ -297,34 +307,22 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             self._place.release()
         return exc
 
-    def _close_old_chunk(self, now: float) -> bool:
-        opened = self._file.opened
-        is_due = opened is not None and now - opened >= self._flush_period
-        if is_due:
-            self._file.close_chunk()
-        return is_due
-
     def _split_if_due(self, log_time: int) -> None:
         """Begin the next file where it is time."""
-        file = self._file
-        if file.start is None:
-            return
-        if self._max_size:
-            file.wait()  # its size decides
-        is_late = self._max_duration and log_time - file.start >= self._max_duration
-        if is_late or (self._max_size and file.size >= self._max_size):
-            self.flush()
-            self._finish()
-            self._begin(len(self._files))
-            file.release()
+        if self.has_reached(self._max_size, self._max_duration, log_time):
+            self.split()
 
     def _until_split(self, times: Times, first: int) -> int:
         """Where the messages from `first` on end that go into the open file."""
         if not self._max_duration:
             return len(times)
         start = int(times[first]) if self._file.start is None else self._file.start
-        late = np.flatnonzero(times[first:] - start >= self._max_duration)
+        late = np.flatnonzero(times[first:] - start >= int(self._max_duration * 1e9))
         return first + int(late[0]) if len(late) else len(times)
+
+    def _reached(self, stream: Stream) -> int:
+        """Messages of a topic that have reached a file."""
+        return written(self._files, stream) + self._taken_away[stream.channel.id]
 
     def _begin(self, number: int) -> None:
         """Open a file and name it in the metadata, so that a crash leaves it findable."""
@@ -338,7 +336,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             self._files.pop()
             file.discard()
             raise
-        self._file = file
+        self._file, self._number = file, number
 
     def _finish(self) -> None:
         """Write the end of the file, whose messages are all written."""

@@ -58,6 +58,9 @@ class LogConfig:
     split_size: int = 0
     split_duration: float = 0.0
     overwrite: bool = False
+    max_size: int = 0
+    max_age: float = 0.0
+    topics: str = "all"
 
 
 @dataclass(frozen=True)

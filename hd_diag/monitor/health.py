@@ -23,13 +23,13 @@ from hd_diag.monitor.residual_orders import Order
 from hd_diag.streams.alignment import Alignment
 
 FAULT_CODES = (
-    "LOG_FAILED",
     "STALE",
     "INPUT_INVALID",
     "OUT_OF_RANGE",
     "INTERFERENCE",
     "LOAD_CONCENTRATION",
     "RESIDUAL",
+    "LOG_FAILED",
     "OK",
 )
 """Fault codes; of several at the same level the first is reported."""
@@ -67,6 +67,7 @@ _SURROUNDINGS = {
     "latency_p99_us": "nan",
     "log_state": "off",
     "log_lost": "0",
+    "log_warning": "",
 }
 
 Fault = tuple[str, int, str]
@@ -88,9 +89,11 @@ def status(
     why = facts.get(absence_of(config.name)) or absence(joint, window, streams.before)
     stale = f"no valid sample for {silence:.1f} s: {why}"
     faults = _faults(joint, window, (silence, stale), facts, rms, mesh) + _model_faults(joint, window)
-    faults += _order_faults(joint, orders)
+    of_log = _log_faults(facts)
+    faults += [*_order_faults(joint, orders), *of_log]
     faults = [*(fault for fault in faults if fault[1]), ("OK", 0, "OK")]
     code, level, message = max(faults, key=lambda fault: (fault[1], -FAULT_CODES.index(fault[0])))
+    message = "; ".join(dict.fromkeys([message, *(text for _, _, text in of_log)]))
     drive, table = config.drive, joint.table
     values: dict[str, str | float] = {
         "fault_code": code,
@@ -141,7 +144,7 @@ def _faults(
     residual: float,
     mesh: Mapping[str, float],
 ) -> list[Fault]:
-    limits, log, has_samples = joint.config.limits, facts.get("log_state", ""), joint.samples > 0
+    limits, has_samples = joint.config.limits, joint.samples > 0
     seen = window.accepted + window.rejected
     share = window.rejected / seen if seen else 0.0
     torque = abs(joint.state["load"]) / joint.config.drive.rated_torque if has_samples else 0.0
@@ -164,7 +167,14 @@ def _faults(
     found = [(code, limits[name].level(value), text) for code, name, value, text in judged]
     if warning := facts.get("warning"):
         found.append(("INPUT_INVALID", 1, warning))
-    return [("LOG_FAILED", 1, f"log {log}"), *found] if log.startswith("failed") else found
+    return found
+
+
+def _log_faults(facts: Mapping[str, str]) -> list[Fault]:
+    """What is wrong with the log: of no joint, so it never stands in place of a joint's own fault."""
+    state, warning = facts.get("log_state", ""), facts.get("log_warning", "")
+    texts = [f"log {state}"] if state.startswith("failed") else []
+    return [("LOG_FAILED", 1, text) for text in [*texts, *([f"log: {warning}"] if warning else [])]]
 
 
 def _interference(joint: Joint, loads: ToothLoads) -> str:

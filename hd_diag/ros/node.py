@@ -137,6 +137,8 @@ class DiagnosticNode(Node):
                 period = 1.0 / self._session.config.diagnostics_rate
                 self._next_report = max(self._next_report + period, now)
                 self._survive("a report failed", self._report)
+                if self._log.split_if_due(self._last_time):  # no sample waits for a report that would miss it
+                    self._session.start_again(self._now())
             self._next_look = min(now + _LOOP_PERIOD, self._next_report)
         return max(0.0, self._next_look - now)
 

@@ -53,6 +53,7 @@ class Publishing:
         publisher = self._publishers.get(encoded.topic)
         for row, received in zip(encoded.rows, encoded.received.tolist(), strict=True):
             data = row if isinstance(row, bytes) else row.tobytes()
-            self._log.write(name, encoded.type_name, data, received)
+            write = self._log.write if publisher is None else self._log.write_output
+            write(name, encoded.type_name, data, received)
             if publisher is not None:
                 publisher.publish(data)
