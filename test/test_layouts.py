@@ -9,8 +9,10 @@ from typing import Any
 
 import pytest
 import yaml
-from live import MS, START, Recording, config, sample
+from cli_runner import assert_one_line_error, hd_diag
+from live import MS, START, Recording, config, message
 
+from hd_diag.config.configuration import Config, dump, resolve
 from hd_diag.messages.markers import MARKERS
 from hd_diag.messages.publications import (
     DIAGNOSTICS,
@@ -33,24 +35,38 @@ ARCSEC_PER_RADIAN = 206264.806
 @pytest.fixture(scope="module")
 def messages() -> dict[str, Any]:
     """A message of every topic, as the node of the layouts publishes it."""
-    recording = Recording()
-    session = Session(config(JOINT, mesh_rate=60.0, array_rate=100.0), recording)
+    return published(config(JOINT, mesh_rate=60.0, array_rate=100.0), "/hd_diag")
+
+
+def published(configured: Config, node: str) -> dict[str, Any]:
+    """A message of every topic of a node whose joints come in one message."""
+    recording, joints = Recording(), [joint.name for joint in configured.joints]
+    session = Session(configured, recording, node)
     session.start(START)
     for i in range(3000):
-        session.joint_state(START + i * MS, sample(START + i * MS, 0.001 * i, 0.00001 * i, 14.0))
+        angles = {name: 0.001 * i for joint in joints for name in (f"{joint}_motor", joint)}
+        outputs = dict.fromkeys(joints, 0.00001 * i)
+        data = message(START + i * MS, angles | outputs, dict.fromkeys(joints, 14.0))
+        session.joint_state(START + i * MS, data)
     session.tick(START + 3000 * MS, START + 3000 * MS, {"log_state": "off", "latency_p99_us": "700"})
-    found = {resolved(topic): rows[-1][1] for topic, rows in recording.topics().items()}
-    assert TOPICS.keys() <= found.keys()
-    return {topic: jazzy().deserialize_cdr(found[topic], kind) for topic, kind in TOPICS.items()}
+    found = {resolved(topic, node): rows[-1][1] for topic, rows in recording.topics().items()}
+    kinds = {resolved(topic, node): kind for topic, kind in published_topics(joints).items()}
+    assert kinds.keys() <= found.keys()
+    return {topic: jazzy().deserialize_cdr(found[topic], kind) for topic, kind in kinds.items()}
 
 
 FOXGLOVE = json.loads((FOLDER / "foxglove_layout.json").read_text())
 PANELS: dict[str, dict[str, Any]] = FOXGLOVE["configById"]
 KINDS = {"3D", "Plot", "StateTransitions", "DiagnosticSummary", "DiagnosticStatusPanel", "RawMessages", "Tab"}
-PATHS = sorted(
-    {path["value"] for panel in PANELS.values() for path in panel.get("paths", ())}
-    | {panel["topicPath"] for panel in PANELS.values() if "topicPath" in panel}
-)
+
+
+def paths_of(panels: dict[str, dict[str, Any]]) -> list[str]:
+    """Message paths of all panels."""
+    plotted = {path["value"] for panel in panels.values() for path in panel.get("paths", ())}
+    return sorted(plotted | {panel["topicPath"] for panel in panels.values() if "topicPath" in panel})
+
+
+PATHS = paths_of(PANELS)
 # As in the message path syntax: a name, then an optional slice, then an optional filter.
 ELEMENT = re.compile(r'\.(\w+)(?:\[(\d*)(:?)(\d*)\])?(?:\{(\w+)=="([^"]*)"\})?')
 
@@ -139,15 +155,16 @@ NUMBER = re.compile(r"[-+]?[\d.]+(e[-+]?\d+)?|nan|-?inf")
 
 def series(topic: str, message: Any) -> Iterator[str]:
     """Names of the curves that PlotJuggler makes of a message, in the way of its ROS parsers."""
-    if TOPICS[topic] == JOINT_STATE:
+    kind = message.__msgtype__
+    if kind == JOINT_STATE:
         for field in ("position", "velocity", "effort"):
             if len(getattr(message, field)):
                 yield from (f"{topic}/{name}/{field}" for name in message.name)
-    elif TOPICS[topic] == DIAGNOSTICS:
+    elif kind == DIAGNOSTICS:
         for status in message.status:
             owner = "/".join(filter(None, (topic, status.hardware_id, status.name)))
             yield from (f"{owner}/{pair.key}" for pair in status.values if NUMBER.fullmatch(pair.value))
-    elif TOPICS[topic] == MULTI_ARRAY:
+    elif kind == MULTI_ARRAY:
         yield from (f"{topic}/data[{i}]" for i in range(len(message.data)))
 
 
@@ -181,6 +198,90 @@ def test_plotjuggler_curves_are_those_of_real_messages(messages: dict[str, Any])
         assert (kind in (MARKERS, HEADERS)) != any(f"{name}/".startswith(f"{topic}/") for name in topics), (
             topic
         )
+
+
+# Layouts that are made for a configuration ---
+
+
+ARM = {"elbow.gear.size": 20.0, "elbow.gear.ratio": 80.0, "elbow.gear.rated_torque": 34.0}
+ARM |= {"elbow.gear.k1": 1.0e4, "elbow.gear.k2": 1.4e4, "elbow.gear.k3": 1.6e4}
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Any, Any]:
+    """Messages of a node with two joints, one of them with other teeth, and both layouts that are made."""
+    folder = tmp_path_factory.mktemp("arm")
+    given = resolve({"joints": ["shoulder", "elbow"], "mesh_rate": 20.0, "array_rate": 20.0, **ARM})
+    (folder / "arm.yaml").write_text(dump(given))
+    words = ("layout", "--config", folder / "arm.yaml", "--out", folder / "new", "--node", "/left/hd_diag")
+    assert hd_diag(*words).exit_code == 0
+    panels = json.loads((folder / "new/foxglove_layout.json").read_text())
+    tabs = ElementTree.parse(folder / "new/plotjuggler_layout.xml").getroot()
+    return published(given, "/left/hd_diag"), panels, tabs
+
+
+def test_of_one_joint_the_made_layouts_are_those_of_the_package(tmp_path: Path) -> None:
+    assert hd_diag("layout", "--out", tmp_path).exit_code == 0
+    assert json.loads((tmp_path / "foxglove_layout.json").read_text()) == FOXGLOVE
+    made = ElementTree.parse(tmp_path / "plotjuggler_layout.xml").getroot()
+    own, given = (
+        ElementTree.canonicalize(ElementTree.tostring(r), strip_text=True) for r in (made, PLOTJUGGLER)
+    )
+    assert own == given
+
+
+def test_made_foxglove_paths_take_something_of_every_joint(arm: tuple[dict[str, Any], Any, Any]) -> None:
+    messages, whole, _ = arm
+    panels = whole["configById"]
+    tabs = panels[whole["layout"]]["tabs"]
+    assert [tab["title"] for tab in tabs] == ["shoulder", "elbow"]
+    for path in paths_of(panels):
+        assert chosen(messages, path), path
+    for joint, place, teeth in (("shoulder", 0, 200), ("elbow", 1, 160)):
+        for what in ("backlash", "load"):
+            parts = [chosen(messages, each["value"]) for each in panels[f"Plot!{what}_{joint}"]["paths"]]
+            assert [len(part) for part in parts] == [teeth] * 2
+        (error,) = (each["value"] for each in panels[f"Plot!residual_{joint}"]["paths"])
+        assert error == f"/left/hd_diag/residual.position[{place}]"
+        assert messages["/left/hd_diag/residual"].name[place] == joint
+        status = panels[f"DiagnosticStatusPanel!joint_{joint}"]
+        known = {(each.hardware_id, each.name) for each in messages["/diagnostics"].status}
+        assert (status["selectedHardwareId"], status["selectedName"]) in known
+        (topic,) = panels[f"3D!mesh_{joint}"]["topics"]
+        assert messages[topic].markers[0].header.frame_id == panels[f"3D!mesh_{joint}"]["followTf"] == joint
+    used = [name for tab in tabs for name in made_panels(panels, tab["layout"])]
+    assert sorted([*used, whole["layout"]]) == sorted(panels)
+
+
+def made_panels(panels: Any, node: Any) -> list[str]:
+    if isinstance(node, str):
+        return [
+            node,
+            *(one for tab in panels[node].get("tabs", ()) for one in made_panels(panels, tab["layout"])),
+        ]
+    return made_panels(panels, node["first"]) + made_panels(panels, node["second"])
+
+
+def test_made_plotjuggler_curves_are_those_of_every_joint(arm: tuple[dict[str, Any], Any, Any]) -> None:
+    messages, _, root = arm
+    known = {name for topic, message in messages.items() for name in series(topic, message)}
+    computed = {snippet.attrib["name"]: snippet.findtext("linked_source") for snippet in root.iter("snippet")}
+    curves = {curve.attrib["name"] for curve in root.iter("curve")}
+    assert curves <= known | computed.keys()
+    assert computed.keys() <= curves
+    assert set(computed.values()) <= known
+    assert len(list(root.iter("Tab"))) == 6
+    for joint, half in (("shoulder", 100), ("elbow", 80)):
+        places = {int(name[:-1].rpartition("[")[2]) for name in curves if f"/{joint}/load/" in name}
+        assert places == {0, half, 2 * half, 3 * half}
+
+
+def test_a_layout_that_cannot_be_is_one_line(tmp_path: Path) -> None:
+    assert_one_line_error(
+        hd_diag("layout", "--out", tmp_path, "--node", "arm/<x>"), "expected the node's full name"
+    )
+    (tmp_path / "file").touch()
+    assert_one_line_error(hd_diag("layout", "--out", tmp_path / "file/in"), "cannot be made")
 
 
 RVIZ = yaml.safe_load((FOLDER / "rviz.rviz").read_text())["Visualization Manager"]

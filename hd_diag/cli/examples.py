@@ -1,4 +1,4 @@
-"""Examples that are no part of the package: installed under share/hd_diag, or beside it in its sources."""
+"""Files that are no part of the package: installed under share/hd_diag, or beside it in its sources."""
 
 from __future__ import annotations
 
@@ -14,11 +14,18 @@ from hd_diag.cli.targets import Problem
 
 def load_example(name: str) -> ModuleType:
     """A module among the examples, such as ``demo.run``; a Problem where they were not installed."""
-    package, file = Path(hd_diag.__file__).parent, Path(*name.split(".")).with_suffix(".py")
+    file = Path(*name.split(".")).with_suffix(".py")
+    place = installed("examples", str(file))
+    sys.path.insert(0, str(place.parents[len(file.parts) - 1]))
+    return import_module(name)
+
+
+def installed(folder: str, file: str) -> Path:
+    """A file of a folder; a Problem where it was not installed."""
+    package = Path(hd_diag.__file__).parent
     prefixes = [*package.parents, *map(Path, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))]
-    places = [package.parent / "examples", *(prefix / "share/hd_diag/examples" for prefix in prefixes)]
+    places = [package.parent / folder, *(prefix / "share/hd_diag" / folder for prefix in prefixes)]
     for place in places:
         if (place / file).exists():
-            sys.path.insert(0, str(place))
-            return import_module(name)
-    raise Problem(f"examples/{file} is not installed: looked beside {package} and in share/hd_diag/examples")
+            return place / file
+    raise Problem(f"{folder}/{file} is not installed: looked beside {package} and in share/hd_diag/{folder}")

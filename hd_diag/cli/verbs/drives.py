@@ -39,6 +39,21 @@ def figures() -> None:
     """
 
 
+@options.verb("layout --config arm.yaml --out layouts")
+@click.option(
+    "--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Folder for the files."
+)
+@options.CONFIG
+@options.shown("--node", "/hd_diag", "Full name of the node.", type=str)
+def layout() -> None:
+    """Write layouts of Foxglove and PlotJuggler for the configured joints.
+
+    foxglove_layout.json and plotjuggler_layout.xml show each joint in tabs of its own: errors, residual,
+    diagnostics, backlash and load of the teeth. In Foxglove errors are found by the joint's place in the
+    configuration: all joints have to come in one message.
+    """
+
+
 _PAGE = {
     "size": "Size on the page: pitch diameter in tenths of an inch.",
     "pitch_diameter": "Pitch diameter [m], in place of the size.",
