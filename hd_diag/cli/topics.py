@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,19 +12,25 @@ import numpy as np
 from hd_diag.bag.block import Topic
 from hd_diag.bag.reader import BagReader
 from hd_diag.cli.lines import show, tell
-from hd_diag.cli.targets import write_json
+from hd_diag.cli.targets import Problem, write_json
+from hd_diag.config.configuration import JointConfig, load
+from hd_diag.config.json_shape import read_text
 from hd_diag.config.parameter_file import text
 from hd_diag.config.parameters import Value
 from hd_diag.formatting import number as figure
+from hd_diag.formatting import visible
 from hd_diag.messages.joint_states import JOINT_STATE
 from hd_diag.records.contents import AnglePair, NumericField, beside, numbers, pairs
+from hd_diag.records.robot_description import Transmission, contradictions, described, transmissions
 
 _SHOWN = 40  # numbers of a topic
 _TORQUES = "torque", "current"
+_DIFFERS = 0.02  # part by which the ratio of two angles may differ from a described one
 
 
-def topics(bag: Path, json_file: str | None) -> None:
+def topics(bag: Path, urdf: Path | None, config_file: str | None, json_file: str | None) -> None:
     """Do what ``hd-diag topics`` is asked for."""
+    joints = load(config_file).joints if config_file else ()
     with BagReader(bag) as reader:
         every, seen = [], []
         for topic in reader.topics:
@@ -35,6 +42,8 @@ def topics(bag: Path, json_file: str | None) -> None:
             seen.append((topic, found, problem))
         seen += [(topic, [], topic.content) for topic in reader.foreign]
         result = _result(reader, seen, every)
+        _describe(result, *_described(reader, urdf), joints)
+        result["mapping"] = _mapping(result["joints"])
     if write_json(json_file, result):
         _tell(result)
 
@@ -45,9 +54,6 @@ def _result(
     found = pairs(every)
     alone = _alone(every, {id(n) for pair in found for n in pair[:2]})
     joints = [_joint(pair.output, pair, every) for pair in found] + [_joint(n, None, every) for n in alone]
-    flat: dict[str, Value] = {"joints": [joint["name"] for joint in joints]}
-    for joint in joints:
-        flat |= {f"{joint['name']}.{name}": value for name, value in joint["mapping"].items()}
     return {
         "schema": "hd_diag/topics/1",
         "bag": str(reader.path),
@@ -55,7 +61,58 @@ def _result(
         "problems": reader.problems,
         "topics": [_topic(reader.duration, *each) for each in seen],
         "joints": joints,
-        "mapping": text(flat) if joints else "",
+    }
+
+
+def _mapping(joints: list[dict[str, Any]]) -> str:
+    """Text of a parameter file."""
+    flat: dict[str, Value] = {"joints": [joint["name"] for joint in joints]}
+    for joint in joints:
+        flat |= {f"{joint['name']}.{name}": value for name, value in joint["mapping"].items()}
+    return text(flat) if joints else ""
+
+
+def _described(reader: BagReader, urdf: Path | None) -> tuple[str, list[Transmission], list[str]]:
+    """Where the robot's description is, its transmissions, and what of it cannot be used."""
+    source = ""
+    try:
+        if urdf:
+            source, text = str(urdf), read_text(urdf, "URDF")
+        else:
+            text, source = described(reader)
+        return (source, *transmissions(text)) if source else ("", [], [])
+    except ValueError as error:
+        if urdf:
+            raise Problem(f"{urdf}: {error}") from error
+        return source, [], [f"{source}: {error}"]
+
+
+def _describe(
+    result: dict[str, Any],
+    source: str,
+    found: list[Transmission],
+    problems: list[str],
+    configured: Sequence[JointConfig],
+) -> None:
+    """Add what a description tells: ratios of the joints, and where they contradict what is known."""
+    ratios, warnings = {each.joint: each for each in found}, [*problems]
+    for joint in result["joints"]:
+        each = ratios.get(joint["tag"]) or ratios.get(joint["name"])
+        if each is None:
+            continue
+        joint["mapping"]["ratio"] = each.ratio
+        joint["said"] += f"; the description says {each.ratio:g}"
+        slope = joint["slope"]
+        if slope is not None and abs(slope - each.ratio) > _DIFFERS * abs(slope):
+            told = f"the angles have a ratio of {slope:.4g}, the robot's description has {each.ratio:g}"
+            warnings.append(f"{joint['name']}: {told}")
+    known = {joint["tag"] for joint in result["joints"]} | {joint["name"] for joint in result["joints"]}
+    unseen = [each for each in found if each.joint not in known]
+    result["description"] = {
+        "source": source,
+        "transmissions": [each._asdict() for each in found],
+        "unseen": [each.joint for each in unseen],
+        "warnings": warnings + contradictions(found, configured),
     }
 
 
@@ -122,7 +179,7 @@ def _joint(output: NumericField, pair: AnglePair | None, every: list[NumericFiel
     if torque is not None and torque.kind == "current":
         mapping["torque_signal.scale"], said = 1.0, f"{said}; scale: N m per A at the link"
     slope = None if pair is None or pair.divided or pair.counted else pair.slope
-    return {"name": name, "said": said, "slope": slope, "mapping": mapping}
+    return {"name": name, "tag": tag, "said": said, "slope": slope, "mapping": mapping}
 
 
 def _signal(n: NumericField) -> dict[str, Value]:
@@ -146,6 +203,14 @@ def _tell(result: dict[str, Any]) -> None:
             tell(f"  {n['field']}: {n['kind']}, {span}")
         if len(known) > _SHOWN:
             tell(f"  and {len(known) - _SHOWN} more")
+    about = result["description"]
+    if about["source"]:
+        told = [f"{each['joint']} {each['ratio']:g}" for each in about["transmissions"]]
+        tell(f"transmissions of {about['source']}: {', '.join(map(visible, told)) or 'none'}")
+    if about["unseen"]:
+        tell(f"  no angle that moves: {', '.join(map(visible, about['unseen']))}")
+    for warning in about["warnings"]:
+        tell(f"warning: {visible(warning)}")
     if not result["joints"]:
         tell("no angle that moves: nothing can be a joint's input or output")
         return

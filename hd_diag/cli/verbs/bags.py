@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import click
 
@@ -106,8 +107,19 @@ def simulate() -> None:
     """
 
 
-@options.verb("topics joint.mcap")
+@options.verb("topics joint.mcap --urdf arm.urdf")
 @options.BAG
+@click.option(
+    "--urdf",
+    type=options.Source(dir_okay=False, path_type=Path),
+    help="The robot's description. [default: the bag's own, of a topic robot_description]",
+)
+@click.option(
+    "--config",
+    "config_file",
+    type=options.Source(dir_okay=False),
+    help="ROS parameter file whose ratios are compared with the description's.",
+)
 @options.JSON
 def topics() -> None:
     """List what is in a bag and propose the configuration of its joints.
@@ -115,4 +127,6 @@ def topics() -> None:
     Two angles whose speeds have the ratio of a gear, or that look like two encoders of one joint, are
     proposed as input and output. Signals with the joint's name or number are its torque, current or
     temperature. Units are guessed from names and jumps. The first 50 000 messages of each topic are read.
+    Transmissions of the robot's description give the ratios; one that the angles or the configuration
+    contradict is a warning.
     """
