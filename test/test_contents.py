@@ -1,6 +1,7 @@
 """``hd-diag topics``: what it finds in bags of other robots makes the mapping by which they are read."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from robot_messages import DYNAMIC, FRANKA, KUKA, START, Messages
 from test_recording import NAMES, states, write
 
 from hd_diag.config.configuration import load
+from hd_diag.messages.schemas import jazzy, serialize
 from hd_diag.records.joint_record import read_bags
 
 
@@ -47,6 +49,7 @@ def test_ros2_control_and_its_mapping(given: dict[str, np.ndarray], tmp_path: Pa
         "field": "interface_values[elbow].values[effort]",
         "kind": "torque",
         "unit": "N m",
+        "first": given["torque"][0],
         "least": given["torque"].min(),
         "greatest": given["torque"].max(),
     }
@@ -115,6 +118,98 @@ def test_motors_in_degrees_that_wrap_beside_links(given: dict[str, np.ndarray], 
     record = read_bags([path], joint)
     assert_allclose(np.diff(record.input_angle), np.diff(prepared(given).input_angle), rtol=0, atol=1e-9)
     assert content["joints"][0]["mapping"]["input.unit"] == "deg"
+
+
+def mapped(content: dict[str, Any], path: Path, folder: Path) -> Any:
+    """The record by the mapping of the first joint."""
+    file = folder / "mapping.yaml"
+    file.write_text(content["mapping"])
+    return read_bags([path], load(file).joints[0])
+
+
+def test_all_publishers_of_a_topic_are_told(given: dict[str, np.ndarray], tmp_path: Path) -> None:
+    """A gripper's joints come first, at another rate; the arm's are those of a gear."""
+    few = given["time"][::4]
+    fingers = states(few + 1e-4, ("finger_l", "finger_r"), (np.sin(few), np.cos(few)))
+    arm = states(
+        given["time"], NAMES, (given["input"], given["output"]), (0 * few.repeat(4), given["torque"])
+    )
+    path = write(tmp_path / "a.mcap", fingers, arm)
+    content, _ = found_in(path, tmp_path)
+    (topic,) = content["topics"]
+    assert topic["joints"] == ["finger_l", "finger_r", "joint_1", "joint_1_motor"]
+    by_joint = {tuple(each["joints"]): (each["messages"], each["rate"]) for each in topic["publishers"]}
+    assert by_joint == {
+        ("finger_l", "finger_r"): (few.size, pytest.approx(50.0)),
+        ("joint_1_motor", "joint_1"): (4 * few.size, pytest.approx(200.0)),
+    }
+    assert "of one publisher, finger_l, finger_r: 300 messages, 50.0 Hz" in hd_diag("topics", path).stdout
+    assert content["joints"][0]["mapping"]["input.field"] == "position[joint_1_motor]"
+
+
+def test_names_with_interfaces_and_nothing_behind_them(given: dict[str, np.ndarray], tmp_path: Path) -> None:
+    """Each interface is a name of its own, and nan under all others: none of these is proposed."""
+    nothing = np.full(given["time"].size, np.nan)
+    names = ("joint_1_motor/position", "joint_1/position", "joint_1/effort")
+    position, effort = (given["input"], given["output"], nothing), (nothing, nothing, given["torque"])
+    path = write(tmp_path / "a.mcap", states(given["time"], names, position, effort))
+    content, config = found_in(path, tmp_path)
+    assert config.joints[0].signals.torque.field == "effort[joint_1/effort]"
+    told = {n["field"]: n["least"] for n in content["topics"][0]["numbers"]}
+    assert told["effort[joint_1/position]"] is None
+    assert "effort[joint_1/position]: torque, NaN throughout" in hd_diag("topics", path).stdout
+    assert_allclose(
+        mapped(content, path, tmp_path).reported_torque, prepared(given).reported_torque, rtol=0, atol=1e-9
+    )
+
+
+def test_points_of_drawings_are_no_angles(given: dict[str, np.ndarray], tmp_path: Path) -> None:
+    pose = "geometry_msgs/msg/PoseStamped"
+    types = jazzy().types
+    stamp = types["builtin_interfaces/msg/Time"](1, 0)
+    header = types["std_msgs/msg/Header"](stamp, "")
+    point = types["geometry_msgs/msg/Point"](1.0, 2.0, 3.0)
+    turn = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    message = types[pose](header, types["geometry_msgs/msg/Pose"](point, turn))
+    path = write(tmp_path / "a.mcap", [("/p", pose, serialize(message, pose), START)])
+    result = hd_diag("topics", path)
+    assert (result.exit_code, "angle," in result.stdout) == (0, False)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_what_is_proposed_is_taken(seed: int, given: dict[str, np.ndarray], tmp_path: Path) -> None:
+    """Bags of all makes: topics, rates, units, names, others' joints, arrays of nan, and no torque."""
+    rng = np.random.default_rng(seed)
+    pick = lambda *choices: choices[rng.integers(len(choices))]  # noqa: E731
+    end, time = pick("", "/position"), given["time"]
+    degrees = pick(False, True)
+    shown = (np.degrees(given["input"]) + 180.0) % 360.0 - 180.0 if degrees else given["input"]
+    nothing = np.full(time.size, np.nan)
+    efforts = (pick(nothing, given["torque"], 0.0 * time), pick(given["torque"], nothing))
+    motor, link = f"a_motor{end}", f"a{end}"
+    if rng.integers(2):
+        parts = [states(time, (motor, link), (shown, given["output"]), pick(None, efforts))]
+    else:
+        late = pick(0.0, 0.0013)
+        keep = slice(None, None, int(pick(1, 2, 2 if degrees else 5)))
+        parts = [
+            states(time[keep], (motor,), (shown[keep],), topic=pick("/m", "/joint_states")),
+            states(time + late, (link,), (given["output"],), pick(None, efforts[1:])),
+        ]
+    if rng.integers(2):
+        parts.append(states(time[::3] + 2e-4, ("finger",), (np.sin(time[::3]),)))
+    if rng.integers(2):
+        slow = np.sin(time[::4])
+        parts.append(states(time[::4], ("slow", "slower"), (100.0 * slow, slow)))
+    path = write(tmp_path / "a.mcap", *parts)
+    _, config = found_in(path, tmp_path)
+    pairs = [joint for joint in config.joints if joint.signals.input is not None]
+    assert "a" in [re.sub(r"_position$", "", joint.name) for joint in pairs]
+    for joint in pairs:
+        record = read_bags([path], joint)
+        assert record.size > 200
+        if record.has_torque:
+            assert np.isfinite(record.torque).all()
 
 
 def test_a_bag_without_angles(tmp_path: Path) -> None:

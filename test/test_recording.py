@@ -16,7 +16,7 @@ from hd_diag.diagnosis.diagnosis import diagnose
 from hd_diag.diagnosis.record import Record, RecordError
 from hd_diag.messages.encoding import encode_joint_states
 from hd_diag.messages.schemas import jazzy, serialize
-from hd_diag.records.contents import numbers
+from hd_diag.records.contents import contents
 from hd_diag.records.joint_record import read_bags, read_motion
 from hd_diag.records.joint_topics import joints_in
 from hd_diag.records.tables import Table, read_table_motion, read_tables
@@ -349,12 +349,18 @@ def test_empty_cells_are_missing_values(given: dict[str, np.ndarray], tmp_path: 
 @pytest.mark.parametrize(
     ("text", "columns", "said"),
     [
-        ("", COLUMNS, "has no column 't'; it has "),
+        ("", COLUMNS, "is empty"),
+        (
+            "What was seen,\non Monday.\n",
+            COLUMNS,
+            "has no column 't'; it has What was seen,  and no rows of numbers",
+        ),
+        ("PK\3\4\0\0", COLUMNS, "is a spreadsheet or an archive: save the table as CSV"),
         ("t,motor,link\n0,0,0\n", COLUMNS, "has no column 'tau'; it has t, motor, link"),
         ("t,motor,link,tau\n0,1,x,3\n", COLUMNS, "line 2: 'x' is not a number"),
         ("t,motor,link,tau\n", COLUMNS, "too short: 0 usable samples"),
         ("t,motor,link,tau\n0,1,2,3\n", COLUMNS, "too short: 1 usable samples"),
-        ("\xff\xfe", COLUMNS, "cannot be read"),
+        ("\xff\xfe", COLUMNS, "is empty"),
         (None, COLUMNS, "cannot be read"),
         (
             None,
@@ -412,4 +418,6 @@ def test_a_bag_of_what_rclpy_serializes(given: dict[str, np.ndarray], tmp_path: 
     assert record.temperature is not None
     with BagReader(bag) as reader:
         assert [len(reader.deserialize(batch)[1]) for batch in reader.batches(grouped=True)] == [0, 0]
-        assert [n.field for n in numbers(reader, reader.topics[0])[0]] == [f"position[{n}]" for n in NAMES]
+        assert [n.field for n in contents(reader, reader.topics[0]).numbers] == [
+            f"position[{n}]" for n in NAMES
+        ]

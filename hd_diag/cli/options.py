@@ -190,7 +190,7 @@ records = together(
         help="Rows per second of CSV files without a time.",
     ),
     click.option(
-        "--delimiter", default="", help="Between the columns of CSV files, or tab. [default: detected]"
+        "--delimiter", default="", help="Between the columns of CSV files, tab or space. [default: detected]"
     ),
     click.option(
         "--input-divided",

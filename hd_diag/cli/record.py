@@ -15,6 +15,7 @@ from hd_diag.cli.joints import chosen_joints, configured
 from hd_diag.cli.lines import tell
 from hd_diag.cli.progress import Advance
 from hd_diag.cli.targets import Problem, write_json, writing
+from hd_diag.cli.topics import is_table, of_table, tell_contents
 from hd_diag.config.catalogue import load
 from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
@@ -27,10 +28,11 @@ from hd_diag.diagnosis.work import Work
 from hd_diag.effects import Catalogue
 from hd_diag.records.joint_record import InputRecord, nothing, read_bags, read_motion
 from hd_diag.records.tables import Table, read_table_motion, read_tables
+from hd_diag.records.text_table import WHITE
 from hd_diag.report.facts import JointReport, sources
 from hd_diag.tolerance.study import with_allowed
 
-_TABLES = (".csv", ".tsv", ".txt")
+_DELIMITERS = {"tab": "\t", "space": WHITE}
 
 
 @dataclass(frozen=True)
@@ -88,8 +90,10 @@ def table_of(columns: str, divided: bool, rate: float, delimiter: str) -> Table:
     pairs = [item.split("=", 1) for item in columns.split(",")]
     if any(len(pair) != 2 for pair in pairs):
         raise Problem("--columns takes pairs like time=t,input=motor_position[deg],output=joint_position")
+    if len(delimiter) > 1 and delimiter not in _DELIMITERS:
+        raise Problem(f"--delimiter takes one character, tab or space, not {delimiter!r}")
     names = {key.strip(): name.strip() for key, name in pairs}
-    return Table(names, divided, rate, {"tab": "\t"}.get(delimiter, delimiter))
+    return Table(names, divided, rate, _DELIMITERS.get(delimiter, delimiter))
 
 
 def on_records(function: Callable[..., int], teeth: bool = True) -> Callable[..., int]:
@@ -112,8 +116,12 @@ def on_records(function: Callable[..., int], teeth: bool = True) -> Callable[...
         **own: Any,
     ) -> int:
         for path in bags if columns is None else ():
-            if path.suffix.lower() in _TABLES:
-                raise Problem(f"{path}: a table needs --columns time=...,input=...,output=...")
+            if is_table(path):
+                tell_contents(found := of_table(path))
+                more = (
+                    f", such as: {found['mapping']}" if found["mapping"] else " time=...,input=...,output=..."
+                )
+                raise Problem(f"{path}: a table needs --columns{more}")
         catalogue = load(effect_files)
         config = configured(config_file, catalogue, teeth and not own.get("orders_only"))
         joints = chosen_joints(config, names)

@@ -2,65 +2,126 @@
 
 from __future__ import annotations
 
+import math
 import re
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from hd_diag.arrays import Floats
 from hd_diag.bag.block import Topic
 from hd_diag.bag.reader import BagReader
 from hd_diag.cli.lines import show, tell
 from hd_diag.cli.targets import Problem, write_json
 from hd_diag.config.configuration import JointConfig, load
+from hd_diag.config.configured_signals import OWNERS
 from hd_diag.config.json_shape import read_text
 from hd_diag.config.parameter_file import text
 from hd_diag.config.parameters import Value
+from hd_diag.diagnosis.record import RecordError
+from hd_diag.formatting import listed, visible
 from hd_diag.formatting import number as figure
-from hd_diag.formatting import visible
 from hd_diag.messages.joint_states import JOINT_STATE
-from hd_diag.records.contents import AnglePair, NumericField, beside, numbers, pairs
+from hd_diag.records.contents import AnglePair, Contents, NumericField, beside, contents, pairs
 from hd_diag.records.robot_description import Transmission, contradictions, described, transmissions
+from hd_diag.records.table_columns import TableColumns, table_columns
 
-_SHOWN = 40  # numbers of a topic
+_SHOWN, _NAMED = 40, 12  # numbers of a topic; joints of a publisher
+_TABLES = (".csv", ".tsv", ".txt", ".dat", ".asc")
 _TORQUES = "torque", "current"
 _DIFFERS = 0.02  # part by which the ratio of two angles may differ from a described one
 
 
 def topics(bag: Path, urdf: Path | None, config_file: str | None, json_file: str | None) -> None:
     """Do what ``hd-diag topics`` is asked for."""
-    joints = load(config_file).joints if config_file else ()
+    joints = load(config_file, teeth=False).joints if config_file else ()
+    result = of_table(bag) if is_table(bag) else _of_bag(bag, urdf, joints)
+    if write_json(json_file, result):
+        tell_contents(result)
+
+
+def is_table(path: Path) -> bool:
+    """Whether a file is taken for a table by its name."""
+    return path.suffix.lower() in _TABLES
+
+
+def of_table(path: Path) -> dict[str, Any]:
+    """What a table holds, and the command that takes it; a Problem where it is none."""
+    try:
+        found = table_columns(path)
+    except RecordError as error:
+        raise Problem(str(error)) from error
+    time = found.time[np.isfinite(found.time)]
+    duration = float(np.ptp(time)) if time.size and found.time_name else 0.0
+    content = Contents(found.fields, "", {(): time if found.time_name else time[:0]})
+    topic = Topic(str(path), "table", len(found.time))
+    result = _result(str(path), duration, [], [(topic, content)])
+    joints = result["joints"]
+    first = next((joint for joint in joints if "input.field" in joint["mapping"]), next(iter(joints), None))
+    return result | {
+        "mapping": _command(path, found, first["mapping"]) if first else "",
+        "time": found.time_name,
+    }
+
+
+def _command(path: Path, found: TableColumns, mapping: dict[str, Any]) -> str:
+    """The command that diagnoses a table, or shows its ripple where there is one angle."""
+    columns = {"time": found.time_name} if found.time_name else {}
+    for role, owner in OWNERS.items():
+        if name := mapping.get(f"{owner}.field"):
+            unit = mapping.get(f"{owner}.unit", "")
+            columns[role] = (
+                name
+                + (f"[{unit}]" if unit and not name.endswith("]") else "")
+                + ("*1" if unit in ("A", "mA") else "")
+            )
+    columns |= {"record": found.record_name} if found.record_name else {}
+    verb = "diagnose" if "input" in columns else "ripple"
+    words = [
+        "hd-diag",
+        verb,
+        str(path),
+        "--columns",
+        ",".join(f"{key}={name}" for key, name in columns.items()),
+    ]
+    words += ["--input-divided"] if mapping.get("input_divided") else []
+    words += [] if found.time_name else ["--rate", "HZ"]
+    return shlex.join(words)
+
+
+def _of_bag(bag: Path, urdf: Path | None, joints: Sequence[JointConfig]) -> dict[str, Any]:
     with BagReader(bag) as reader:
-        every, seen = [], []
+        seen = []
         for topic in reader.topics:
             try:
-                found, problem = numbers(reader, topic)
+                found = contents(reader, topic)
             except Exception as error:  # rosbags raises several kinds on hostile definitions and data
-                found, problem = [], str(error)
-            every += found
-            seen.append((topic, found, problem))
-        seen += [(topic, [], topic.content) for topic in reader.foreign]
-        result = _result(reader, seen, every)
+                found = Contents([], str(error), {})
+            seen.append((topic, found))
+        seen += [(topic, Contents([], topic.content, {})) for topic in reader.foreign]
+        result = _result(str(reader.path), reader.duration, reader.problems, seen)
         _describe(result, *_described(reader, urdf), joints)
-        result["mapping"] = _mapping(result["joints"])
-    if write_json(json_file, result):
-        _tell(result)
+    return result | {"mapping": _mapping(result["joints"])}
 
 
 def _result(
-    reader: BagReader, seen: list[tuple[Topic, list[NumericField], str]], every: list[NumericField]
+    path: str, duration: float, problems: list[str], seen: list[tuple[Topic, Contents]]
 ) -> dict[str, Any]:
+    every = [n for _, content in seen for n in content.numbers]
     found = pairs(every)
     alone = _alone(every, {id(n) for pair in found for n in pair[:2]})
     joints = [_joint(pair.output, pair, every) for pair in found] + [_joint(n, None, every) for n in alone]
     return {
         "schema": "hd_diag/topics/1",
-        "bag": str(reader.path),
-        "duration": reader.duration,
-        "problems": reader.problems,
-        "topics": [_topic(reader.duration, *each) for each in seen],
+        "bag": path,
+        "duration": duration,
+        "problems": problems,
+        "topics": [_topic(duration, *each) for each in seen],
         "joints": joints,
+        "description": {"source": "", "unseen": [], "warnings": []},
     }
 
 
@@ -116,36 +177,52 @@ def _describe(
     }
 
 
-def _topic(duration: float, topic: Topic, found: list[NumericField], problem: str) -> dict[str, Any]:
-    """Content of a topic; its rate by its stamps, or by the duration [s] of the bag."""
-    longest = max((n.time for n in found), key=len, default=np.zeros(0))
-    span, count = (longest[-1] - longest[0], longest.size) if longest.size > 1 else (duration, topic.count)
+def _topic(duration: float, topic: Topic, content: Contents) -> dict[str, Any]:
+    """Content of a topic; rates by stamps, else by the duration [s] of the bag.
+
+    A publisher is known by the joints that it names, and so told from others on the same topic.
+    """
+    stamps = [*content.stamps.values()]
+    rate = _rate(np.concatenate(stamps)) if stamps else None
+    if rate is None and duration > 0.0 and topic.count > 1:
+        rate = (topic.count - 1) / duration
     return {
         "name": topic.name,
         "type": topic.type_name,
         "messages": topic.count,
-        "rate": (count - 1) / span if span > 0.0 and count > 1 else None,
-        "problem": problem,
-        "joints": sorted({n.tag for n in found if n.tag and n.kind}),
+        "rate": rate,
+        "problem": content.problem,
+        "joints": sorted({n.tag for n in content.numbers if n.tag and n.kind}),
+        "publishers": [
+            {"joints": list(joints), "messages": len(each), "rate": _rate(each)}
+            for joints, each in content.stamps.items()
+        ],
         "numbers": [
             {
                 "field": n.field,
                 "kind": n.kind,
                 "unit": n.unit,
+                "first": float(n.values[0]),
                 "least": float(np.min(n.values)),
                 "greatest": float(np.max(n.values)),
             }
-            for n in found
+            for n in content.numbers
         ],
     }
+
+
+def _rate(stamps: Floats) -> float | None:
+    """How often messages with these stamps [s] came [Hz]; None where that cannot be told."""
+    span = float(np.ptp(stamps)) if stamps.size > 1 else 0.0
+    return (stamps.size - 1) / span if span > 0.0 else None
 
 
 def _alone(every: list[NumericField], paired: set[int]) -> list[NumericField]:
     """Angles of joints of which no second one is known; one for each joint."""
     joints = {n.tag for n in every if id(n) in paired}
     found: dict[str, NumericField] = {}
-    for n in every:
-        if n.kind == "angle" and n.tag and n.tag not in joints and n.moves:
+    for n in sorted(every, key=lambda n: not n.is_called_so):
+        if n.kind == "angle" and (n.tag or not n.topic.name) and n.tag not in joints and n.moves:
             found.setdefault(n.tag, n)
     return list(found.values())
 
@@ -188,19 +265,25 @@ def _signal(n: NumericField) -> dict[str, Value]:
     return {"topic": n.topic.name, **kind, "field": n.field, **unit}
 
 
-def _tell(result: dict[str, Any]) -> None:
-    tell(f"{result['bag']}: {figure(result['duration'])} s, {len(result['topics'])} topics")
+def tell_contents(result: dict[str, Any]) -> None:
+    """Print what a bag or a table holds, and what to paste."""
+    topics = "" if "time" in result else f", {len(result['topics'])} topics"
+    tell(f"{result['bag']}: {figure(result['duration'])} s{topics}")
+    rows = "rows" if "time" in result else "messages"
     for problem in result["problems"]:
         tell(f"  {problem}")
     for topic in result["topics"]:
         rate = f", {figure(topic['rate'])} Hz" if topic["rate"] else ""
-        tell(f"{topic['name']}: {topic['type'] or 'no type'}, {topic['messages']} messages{rate}")
+        tell(f"{topic['name']}: {topic['type'] or 'no type'}, {topic['messages']} {rows}{rate}")
         if topic["problem"]:
             tell(f"  {topic['problem']}")
+        for each in topic["publishers"] if len(topic["publishers"]) > 1 else ():
+            rate = f", {figure(each['rate'])} Hz" if each["rate"] else ""
+            joints = listed(each["joints"], _NAMED) or "no names"
+            tell(f"  of one publisher, {joints}: {each['messages']} messages{rate}")
         known = [n for n in topic["numbers"] if n["kind"]]
         for n in known[:_SHOWN]:
-            span = f"{figure(n['least'])} to {figure(n['greatest'])} {n['unit']}"
-            tell(f"  {n['field']}: {n['kind']}, {span}")
+            tell(f"  {n['field']}: {n['kind']}, {_span(n)}")
         if len(known) > _SHOWN:
             tell(f"  and {len(known) - _SHOWN} more")
     about = result["description"]
@@ -216,5 +299,11 @@ def _tell(result: dict[str, Any]) -> None:
         return
     for joint in result["joints"]:
         tell(f"{joint['name']}: {joint['said']}")
-    tell("to paste into a parameter file:")
+    tell("to paste:" if "time" in result else "to paste into a parameter file:")
     show(f"{result['mapping']}\n")
+
+
+def _span(n: dict[str, Any]) -> str:
+    if math.isnan(n["least"]):
+        return "NaN throughout"
+    return f"{figure(n['least'])} to {figure(n['greatest'])} {n['unit']}, the first {figure(n['first'])}"

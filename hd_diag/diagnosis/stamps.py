@@ -16,6 +16,16 @@ UNPAIRED = (
 """What is said of output angles without an input angle."""
 
 
+LEAST_RATE = 2.0
+"""Less often no joint is recorded that is to be judged [Hz]."""
+
+LONGEST_TURN = 3600.0
+"""For a turn no joint that is to be judged needs more [s]."""
+
+_PARTS = (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))  # of a second
+_MOVED = 0.1  # [rad]; over less a speed is noise
+
+
 def usual_step(time: Floats) -> float:
     """Between stamps [s]: the median."""
     return float(np.median(np.diff(time)))
@@ -89,3 +99,33 @@ def by_clock(time: Floats, bag: Integers, stamps: Stamps) -> tuple[Integers, Sta
     set_back = stamps.set_back + int(np.count_nonzero(back))
     reason = "their stamps repeat the last, or are before it" if late else stamps.reason
     return bag, stamps._replace(refused=stamps.refused + late, reason=reason, set_back=set_back)
+
+
+def doubtful_clock(time: Floats, bag: Integers, angle: Floats) -> tuple[str, str] | None:
+    """What no joint is recorded or moved like, where its time is in s, and the unit that it is likely in.
+
+    Times [s], numbers of the recordings, and angles of the output [rad], each (n,). None where the rate is
+    above :data:`LEAST_RATE` and the joint turns within :data:`LONGEST_TURN`.
+    """
+    step = np.diff(time)
+    step = step[(step > 0.0) & (np.diff(bag) == 0)]
+    if not step.size:
+        return None
+    usual, turn = float(np.median(step)), _turn_time(time, bag, angle)
+    fits = [n for n, k in _PARTS if usual * k * LEAST_RATE <= 1.0 and turn * k <= LONGEST_TURN]
+    likely = next(iter(fits), "ms")
+    if usual * LEAST_RATE > 1.0:
+        return f"the stamps are {usual:.3g} s apart ({1.0 / usual:.2g} Hz): is the time in {likely}?", likely
+    if turn > LONGEST_TURN:
+        return f"the joint would need {turn / 3600.0:.2g} hours for a turn: is the time in {likely}?", likely
+    return None
+
+
+def _turn_time(time: Floats, bag: Integers, angle: Floats) -> float:
+    """Time for a turn at the speed that a twentieth of the record exceeds [s]; zero where nothing moves."""
+    lag = max(time.size // 400, 1)
+    same = bag[lag:] == bag[:-lag]
+    elapsed, way = (np.abs(column[lag:] - column[:-lag])[same] for column in (time, angle))
+    good = np.isfinite(way) & (elapsed > 0.0)
+    fast = float(np.percentile(way[good] / elapsed[good], 95)) if good.any() else 0.0
+    return 2.0 * np.pi / fast if fast > 0.0 and float(np.sum(way[good])) > _MOVED else 0.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import re
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from typing import Any, NamedTuple
@@ -22,8 +23,8 @@ from hd_diag.messages.fields import FieldReader
 from hd_diag.messages.joint_states import Rejection
 from hd_diag.messages.publications import OWN_OUTPUTS
 from hd_diag.messages.schemas import deserialize
-from hd_diag.streams.rules import CLOCK_JUMP
-from hd_diag.streams.signals import Signal, Unit
+from hd_diag.streams.rules import CLOCK_JUMP, PAIRING_GAP
+from hd_diag.streams.signals import Signal, Unit, unit
 
 _MOST_MESSAGES = 50_000  # of a topic that are looked at: its first minute at 1 kHz
 _MOST_ELEMENTS, _MOST_NUMBERS = 64, 500  # of an array, of a message
@@ -43,6 +44,10 @@ _RATIOS = 28.0, 400.0  # of a harmonic drive
 _SAME_SIDE = 0.02  # by which the slope of two angles at one side may differ from 1
 _FIT = 0.02  # what one angle may leave of the other
 _POINTS = 2000
+_MOST_TRIED = 4000  # messages that are looked at for names
+_ALIKE, _EVERY = 3, 50  # of one size in a batch: the first ones, and one of so many
+_INTERFACE = re.compile(r"/(position|velocity|effort|torque|current|acceleration|temperature)$")
+_PLACE = re.compile(r"\.[xyzw]$")  # of a point or a quaternion: no joint's
 _DEGREES, _TURN = 360.0, 2.0 * np.pi
 _COUNTS, _MANY_COUNTS = "counts/?", 1000.0  # whole numbers over so many are no angle in rad or deg
 
@@ -67,6 +72,16 @@ class NumericField:
         """Whether it is not the same all the time."""
         return bool(np.ptp(self.values) > 0.0)
 
+    @property
+    def is_called_so(self) -> bool:
+        """Whether its name says what kind it is; a column of a table need not."""
+        return re.search(_KINDS.get(self.kind, ""), self.field.lower()) is not None
+
+    @property
+    def known(self) -> bool:
+        """Whether it has any value."""
+        return bool(np.isfinite(self.values).any())
+
 
 class AnglePair(NamedTuple):
     """Angles of one joint: input, output, and the slope of the first over the second in rad, or counts."""
@@ -86,30 +101,49 @@ class AnglePair(NamedTuple):
         return self.input.unit == _COUNTS
 
 
-def numbers(reader: BagReader, topic: Topic) -> tuple[list[NumericField], str]:
-    """Numbers of a topic that may be a joint's, and what cannot be read; BagError for an unknown type."""
+class Contents(NamedTuple):
+    """What a topic holds: numbers; what cannot be read; stamps [s] of its messages by the joints in them."""
+
+    numbers: list[NumericField]
+    problem: str
+    stamps: dict[tuple[str, ...], Floats]
+
+
+def contents(reader: BagReader, topic: Topic) -> Contents:
+    """Numbers of a topic that may be a joint's, of all its publishers; BagError for an unknown type."""
     fields = _fields(reader, topic)
     if not fields:
-        return [], ""
+        return Contents([], "", {})
     signals = {f: Signal(topic.name, topic.type_name, f, "", Unit(1.0)) for f in fields}
     source = FieldReader(reader.given_types(topic), topic.type_name, signals)
     found: dict[str, list[tuple[Any, Floats]]] = {f: [] for f in fields}
+    stamps: dict[tuple[str, ...], list[Floats]] = {}
     seen, refused = 0, list[Rejection]()
-    for batch in reader.batches([topic.name], grouped=True):
-        if batch.topic is not topic or seen >= _MOST_MESSAGES:
-            continue
+    for batch in _batches(reader, topic):
         rows = slice(0, _MOST_MESSAGES - seen)
         seen += len(batch)
         shapes, rejected = source.columns(batch.payload[rows], batch.log_time[rows])
         refused += rejected
         for states in shapes:
+            joints = tuple(dict.fromkeys(filter(None, map(_tag, states.keys))))
+            stamps.setdefault(joints, []).append((states.stamp - reader.start) * 1e-9)
             for i, key in enumerate(states.keys):
                 assert states.signals is not None
                 found[key].append((states.stamp, states.signals[:, i]))
     problem = (
         f"{len(refused)} of {seen} messages cannot be read; the last {refused[-1].reason}" if refused else ""
     )
-    return [_number(topic, f, fields[f], parts, reader.start) for f, parts in found.items() if parts], problem
+    every = [_number(topic, f, fields[f], parts, reader.start) for f, parts in found.items() if parts]
+    return Contents(every, problem, {joints: np.concatenate(parts) for joints, parts in stamps.items()})
+
+
+def _batches(reader: BagReader, topic: Topic) -> Iterator[Any]:
+    """Messages of a topic, up to :data:`_MOST_MESSAGES` and what comes with the last."""
+    seen = 0
+    for batch in reader.batches([topic.name], grouped=True):
+        if batch.topic is topic and seen < _MOST_MESSAGES:
+            seen += len(batch)
+            yield batch
 
 
 def pairs(angles: list[NumericField]) -> list[AnglePair]:
@@ -117,7 +151,7 @@ def pairs(angles: list[NumericField]) -> list[AnglePair]:
     usable = [n for n in angles if n.kind == "angle" and n.moves and not _COMMANDED.search(n.field)]
     found: dict[int, list[AnglePair]] = {}
     for one, other in itertools.permutations(usable, 2):
-        if (slope := _slope(one, other)) is None:
+        if not _pairable(one, other) or (slope := _slope(one, other)) is None:
             continue
         pair = AnglePair(one, other, slope)
         is_gear = not pair.counted and _RATIOS[0] <= abs(slope) <= _RATIOS[1]
@@ -131,23 +165,38 @@ def pairs(angles: list[NumericField]) -> list[AnglePair]:
 def beside(every: list[NumericField], output: NumericField, *kinds: str) -> NumericField | None:
     """A number of the same joint, of the first of some kinds; in the same topic where there is one."""
     own = [n for n in every if n.tag == output.tag and n.kind in kinds and not _COMMANDED.search(n.field)]
-    own = [n for n in own if n.topic is output.topic or not n.tag.isdecimal()]
+    own = [n for n in own if n.known and (n.topic is output.topic or not n.tag.isdecimal())]
     return min(
         own, key=lambda n: (not n.moves, n.topic is not output.topic, kinds.index(n.kind)), default=None
     )
 
 
 def _fields(reader: BagReader, topic: Topic) -> dict[str, str]:
-    """Paths of a topic's numbers with their types, from its first message that can be read."""
+    """Paths of a topic's numbers with their types, of all kinds of its messages that can be read."""
     if topic.name.endswith(OWN_OUTPUTS) or not topic.count:
         return {}
-    store = reader.given_types(topic)
-    for batch in reader.batches([topic.name]):
-        for data in batch.messages() if batch.topic is topic else ():
+    store, found, tried = reader.given_types(topic), dict[str, str](), 0
+    for batch in _batches(reader, topic):
+        for data in _unlike(batch):
             with suppress(ValueError):
-                found = dict(_leaves(store, topic.type_name, deserialize(store, data, topic.type_name)))
-                return found if len(found) <= _MOST_NUMBERS else {}
-    raise BagError(reader.path, f"{topic.name}: no message can be read")
+                found |= _leaves(store, topic.type_name, deserialize(store, data, topic.type_name))
+                tried += 1
+            if len(found) > _MOST_NUMBERS:
+                return {}
+        if tried >= _MOST_TRIED:
+            break
+    if not tried:
+        raise BagError(reader.path, f"{topic.name}: no message can be read")
+    return found
+
+
+def _unlike(batch: Any) -> Iterator[bytes]:
+    """Messages of a batch that may hold other names than those before: of each size the first, and more."""
+    sizes: Counter[int] = Counter()
+    for data in batch.messages():
+        sizes[len(data)] += 1
+        if sizes[len(data)] <= _ALIKE or sizes[len(data)] % _EVERY == 0:
+            yield data
 
 
 def _leaves(store: Typestore, type_name: str, message: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
@@ -182,16 +231,40 @@ def _labels(store: Typestore, element: Any, value: Any, texts: list[list[str]]) 
 
 def _number(topic: Topic, path: str, dtype: str, parts: list[tuple[Any, Floats]], start: int) -> NumericField:
     stamp, values = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    good = np.isfinite(values)
-    stamp, values = _rising(stamp[good]), values[good]
+    stamp = _rising(stamp)
     order = np.argsort(stamp, kind="stable")
-    time, values = np.asarray((stamp[order] - start) * 1e-9, np.float64), values[order]
-    found = re.findall(r"\[([^\]]+)\]", path)
-    tag = found[0] if found else ""
-    rest = path.replace(f"[{tag}]", "", 1).lower()
-    kind = next((kind for kind, words in _KINDS.items() if re.search(words, rest)), "")
-    values = values if values.size else np.zeros(1)
-    return NumericField(topic, path, tag, kind, _unit(kind, dtype, values), time, values)
+    time = np.asarray((stamp[order] - start) * 1e-9, np.float64)
+    words = re.sub(r"\[[^\]]+\]", "", path, count=1)
+    return field_of(topic, path, _tag(path), words, dtype, time, values[order])
+
+
+def field_of(
+    topic: Topic,
+    path: str,
+    tag: str,
+    words: str,
+    dtype: str,
+    time: Floats,
+    values: Floats,
+    unit_name: str = "",
+) -> NumericField:
+    """A number by the words for it, in a unit that is given or guessed; nan where it has no value at all."""
+    kind = next((kind for kind, known in _KINDS.items() if re.search(known, words.lower())), "")
+    if kind == "angle" and _PLACE.search(words):
+        kind = ""
+    good = np.isfinite(values)
+    if not good.any():
+        return NumericField(
+            topic, path, tag, kind, unit_name or _USUAL.get(kind, ""), np.zeros(1), np.full(1, np.nan)
+        )
+    time, values = time[good], values[good]
+    return NumericField(topic, path, tag, kind, unit_name or _unit(kind, dtype, values), time, values)
+
+
+def _tag(path: str) -> str:
+    """Index or name by which a number is found, without the interface that some drivers put behind it."""
+    found = re.search(r"\[([^\]]+)\]", path)
+    return _INTERFACE.sub("", found[1]) if found else ""
 
 
 def _rising(stamp: Times) -> Times:
@@ -230,6 +303,15 @@ def _nearness(pair: AnglePair) -> tuple[bool, bool, bool, bool]:
     return not pair.counted, alike, _at_motor(one) and not _at_motor(other), one.topic is other.topic
 
 
+def _pairable(one: NumericField, other: NumericField) -> bool:
+    """Whether most of the output's samples have an input's at their stamp, or near to either side."""
+    after = np.minimum(one.time.searchsorted(other.time), one.time.size - 1)
+    before = np.maximum(after - 1, 0)
+    near = one.time[after] - np.minimum(one.time[before], other.time) <= PAIRING_GAP * 1e-9
+    near &= one.time[after] >= other.time
+    return float(np.mean(near | (one.time[after] == other.time))) > 0.5
+
+
 def _slope(one: NumericField, other: NumericField) -> float | None:
     """Slope of an angle over another in rad, where nothing else moves it."""
     begin, end = max(one.time[0], other.time[0]), min(one.time[-1], other.time[-1])
@@ -248,5 +330,5 @@ def _continuous(number: NumericField) -> Floats:
     """An angle [rad, or counts] without the jumps of an encoder that wraps or a counter that runs over."""
     if number.unit == _COUNTS:
         return np.unwrap(number.values, period=2.0 ** np.ceil(np.log2(max(np.ptp(number.values), 2.0))))
-    values = np.radians(number.values) if number.unit == "deg" else number.values
+    values = number.values * unit("input", number.unit or "rad").factor
     return np.unwrap(values) if float(np.ptp(values)) <= _TURN + 1e-6 else values

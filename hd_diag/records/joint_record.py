@@ -17,7 +17,7 @@ from hd_diag.diagnosis.blocks import unwrapped
 from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.outliers import torque_outliers
 from hd_diag.diagnosis.record import Record, RecordError, prepare
-from hd_diag.diagnosis.stamps import UNTOLD, Stamps
+from hd_diag.diagnosis.stamps import UNTOLD, Stamps, doubtful_clock
 from hd_diag.messages.publications import TEMPERATURE, read_temperature
 from hd_diag.records.joint_topics import JointTopics, offered, place
 from hd_diag.streams.alignment import Aligned, Alignment, torque_between
@@ -57,6 +57,7 @@ def read_bags(paths: Sequence[str | Path], joint: JointConfig) -> Record:
     time, stretch, given, own, torque, speed, warm, stamps = found
     if not time.size:
         raise RecordError(nothing(paths, joint, stamps))
+    _check_clock(found, found.output_angle)
     ratio = joint.drive.kinematics.ratio
     columns = time, given, own, torque, warm, stretch, ratio, joint.torque, speed
     kind = joint.signals.is_current, joint.signals.is_velocity
@@ -115,10 +116,18 @@ def read_motion(paths: Sequence[str | Path], joint: JointConfig) -> InputRecord 
     for begin, end in bounds(found.stretch):
         if np.abs(angle[begin:end]).max() <= _TURN:
             angle[begin:end] = unwrapped(angle[begin:end])
+    _check_clock(found, angle / joint.drive.kinematics.ratio)
     if not known.any():
         return InputRecord(found.time, angle, None, found.stretch, found.stamps)
     torque, stretch = found.torque[known], found.stretch[known]
     return InputRecord(found.time[known], angle[known], torque, stretch, found.stamps)
+
+
+def _check_clock(found: _Samples, output: Floats) -> None:
+    """Ask about stamps by which no joint is recorded or moves; its output's angle [rad] is (n,)."""
+    if question := doubtful_clock(found.time, found.stretch, output):
+        text = f"{question[0]} The robot's driver has to stamp in seconds and nanoseconds"
+        raise RecordError(found.stamps.after(text))
 
 
 def _is_input(samples: Aligned) -> Any:

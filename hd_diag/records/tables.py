@@ -5,11 +5,10 @@ from __future__ import annotations
 import csv
 import re
 from array import array
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
-from typing import TextIO
 
 import numpy as np
 
@@ -19,8 +18,10 @@ from hd_diag.diagnosis.blocks import unwrapped
 from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.outliers import torque_outliers
 from hd_diag.diagnosis.record import Record, RecordError, prepare
-from hd_diag.diagnosis.stamps import Stamps
+from hd_diag.diagnosis.stamps import Stamps, doubtful_clock
+from hd_diag.formatting import listed
 from hd_diag.records.joint_record import InputRecord
+from hd_diag.records.text_table import TextTable, quantity, seconds, text_table
 from hd_diag.streams.alignment import ELSEWHERE, Alignment, Names
 from hd_diag.streams.columns import LARGEST_ANGLE, LARGEST_TEMPERATURE, LARGEST_TORQUE, JointStates
 from hd_diag.streams.rules import unseen
@@ -31,9 +32,11 @@ COLUMNS = ("time", "input", "output", "torque", "temperature")
 
 _KEYS = ELSEWHERE, "output", "", "input"  # of rows with a velocity
 _USUAL = dict(zip(COLUMNS, ("s", "rad", "rad", "N m", "degC"), strict=True))
-_DELIMITERS = ",;\t|"
 _GIVEN = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<unit>[^\[\]]+)\])?\s*(?:\*\s*(?P<scale>[-+.\deE]+))?")
-_IN_HEADER = re.compile(r"(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]+)[\])]")
+IN_HEADER = re.compile(r"(?P<name>.*?)\s*[\[(](?P<unit>(?!\d+[\])])[^\[\]()]+)[\])]")
+"""A column's name with a unit behind it; a number there is an index."""
+
+_STATED = re.compile(r"\[[^\[\]]+\]\s*(\*.*)?$")
 _TURN = 2.0 * np.pi + 1e-6
 _LARGEST = {
     "time": (9e9, "s"),  # in nanoseconds an integer of 64 bits
@@ -42,17 +45,18 @@ _LARGEST = {
     "torque": (LARGEST_TORQUE, "N m"),
     "temperature": (LARGEST_TEMPERATURE, "degC"),
 }
-_LONGEST_LINE, _MOST_ROWS = 1 << 20, 50_000_000  # half a day at 1 kHz
+_MOST_ROWS = 50_000_000  # half a day at 1 kHz
+_PART = "part"  # of a file, since its header came again
 
 
 @dataclass(frozen=True)
 class Table:
     """How CSV files are read.
 
-    `columns` maps keys of `COLUMNS` and ``record`` to names in the files' first rows, each with ``[unit]``
-    and ``*scale`` behind it where needed; a unit in the first row, ``angle [deg]``, counts too. `divided`:
+    `columns` maps keys of `COLUMNS` and ``record`` to names in the files' headers, or numbers of columns,
+    each with ``[unit]`` and ``*scale`` behind it where needed; a unit in the header counts too. `divided`:
     the input angle is already divided by the ratio. `rate` is that of files without a column of time [Hz], 0
-    where they have one. An empty delimiter is found from the first row.
+    where they have one. An empty delimiter is found from the rows.
     """
 
     columns: Mapping[str, str]
@@ -135,10 +139,24 @@ def columns_of(
         files.append((columns, units))
     number = np.repeat(np.arange(len(files)), [len(next(iter(columns.values()))) for columns, _ in files])
     found = {name: np.concatenate([columns[name] for columns, _ in files]) for name in files[0][0]}
-    recording = np.stack((number, found.get("record", np.zeros(number.size))), axis=1)
+    recording = np.stack((number, found.pop(_PART), found.get("record", np.zeros(number.size))), axis=1)
     found["record"] = np.unique(recording, axis=0, return_inverse=True)[1].reshape(-1)
     _make_angles(found, files[0][1], joint, table.divided)
+    _check_clock(table, found, joint.drive.kinematics.ratio)
     return found, files[0][1], stamps
+
+
+def _check_clock(table: Table, found: Mapping[str, Floats], ratio: float) -> None:
+    """Ask about the unit of the time where no joint goes by such a clock, unless the user gave the unit."""
+    name = table.columns.get("time", "")
+    if not name or _STATED.search(name):
+        return
+    angle = found["output"] if "output" in found else found["input"] / ratio
+    if question := doubtful_clock(found["time"], found["record"].astype(np.int64), angle):
+        text, likely = question
+        raise RecordError(
+            f"{text}: write time={name}[{likely}] in --columns, or time={name}[s] if it is right"
+        )
 
 
 def _make_angles(
@@ -202,21 +220,18 @@ def _follow(angle: Floats, record: Integers) -> None:
 def _file(path: Path, table: Table, usual: Mapping[str, str]) -> tuple[dict[str, Floats], dict[str, Unit]]:
     """Columns of a file in SI, and the units that they had; the usual one where none is given."""
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            first = next(lines := _lines(file), "")
-            delimiter = table.delimiter or max(_DELIMITERS, key=first.count)
-            header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])]
-            wanted = {key: _column(path, key, text, header, usual) for key, text in table.columns.items()}
-            values = {key: array("d") for key in wanted}
-            rows = csv.reader(lines, delimiter=delimiter)
-            for row in rows:
-                if rows.line_num > _MOST_ROWS:
-                    raise RecordError(f"{path}: has more than {_MOST_ROWS} rows: split it")
-                for key, (place, _) in wanted.items():
-                    values[key].append(
-                        _number(path, rows.line_num + 1, row[place] if place < len(row) else "")
-                    )
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        text = text_table(path, table.delimiter)
+        wanted = {key: _column(text, key, given, usual) for key, given in table.columns.items()}
+        values, parts = {key: array("d") for key in wanted}, array("d")
+        for count, (line, part, row) in enumerate(text.rows()):
+            if count > _MOST_ROWS:
+                raise RecordError(f"{path}: has more than {_MOST_ROWS} rows: split it")
+            parts.append(part)
+            if not count and "time" in wanted and seconds(row[place := wanted["time"][0]]) is not None:
+                wanted["time"] = place, Unit(1.0)
+            for key, (place, _) in wanted.items():
+                values[key].append(_number(path, line, row[place] if place < len(row) else ""))
+    except (OSError, UnicodeError, csv.Error) as error:
         raise RecordError(f"{path}: cannot be read: {error}") from error
     units = {key: known for key, (_, known) in wanted.items()}
     with np.errstate(over="ignore"):
@@ -224,17 +239,10 @@ def _file(path: Path, table: Table, usual: Mapping[str, str]) -> tuple[dict[str,
             key: np.frombuffer(column) * units[key].factor + units[key].offset
             for key, column in values.items()
         }
+    columns[_PART] = np.frombuffer(parts)
     if table.rate and "time" not in columns:
-        columns["time"] = np.arange(len(next(iter(columns.values())))) / table.rate
+        columns["time"] = np.arange(len(parts)) / table.rate
     return columns, units
-
-
-def _lines(file: TextIO) -> Iterator[str]:
-    """Lines of a file, none of which is longer than can be believed."""
-    while line := file.readline(_LONGEST_LINE):
-        if len(line) == _LONGEST_LINE:
-            raise csv.Error(f"a line is longer than {_LONGEST_LINE} characters")
-        yield line
 
 
 def _possible(columns: dict[str, Floats]) -> tuple[dict[str, Floats], Stamps]:
@@ -249,28 +257,39 @@ def _possible(columns: dict[str, Floats]) -> tuple[dict[str, Floats], Stamps]:
     return columns, stamps
 
 
-def _column(path: Path, key: str, text: str, header: list[str], usual: Mapping[str, str]) -> tuple[int, Unit]:
+def _column(text: TextTable, key: str, given: str, usual: Mapping[str, str]) -> tuple[int, Unit]:
     """Place of a column in the rows, and its unit."""
-    given = _GIVEN.fullmatch(text)
-    name = text if text in header or given is None else given["name"]
-    plain = [found["name"] if (found := _IN_HEADER.fullmatch(each)) else each for each in header]
-    if name not in header and name not in plain:
-        raise RecordError(f"{path}: has no column {name!r}; it has {', '.join(header)}")
-    place = header.index(name) if name in header else plain.index(name)
+    place, name, stated, scale = place_of(text, given)
     if key == "record":
         return place, Unit(1.0)
-    stated, scale = (given["unit"], given["scale"]) if given and name != text else (None, None)
-    matched = _IN_HEADER.fullmatch(header[place])
+    matched = IN_HEADER.fullmatch(name)
     try:
         known = unit(key, stated or (matched["unit"] if matched else usual[key]))
         factor = known.factor * float(scale or 1.0)
     except ValueError as error:
-        raise RecordError(f"{path}: column {header[place]!r}: {error}") from error
+        raise RecordError(f"{text.path}: column {name!r}: {error}") from error
     return place, known._replace(factor=factor)
 
 
-def _number(path: Path, line: int, text: str) -> float:
-    try:
-        return float(text.strip().replace(",", ".") or "nan")
-    except ValueError:
-        raise RecordError(f"{path}, line {line}: {text.strip()!r} is not a number") from None
+def place_of(text: TextTable, given: str) -> tuple[int, str, str, str]:
+    """Place of a column given by its name or number, its name, and the unit and scale that were given."""
+    header = list(text.header)
+    name, stated, scale = given, "", ""
+    if given not in header and (parts := _GIVEN.fullmatch(given)):
+        name, stated, scale = (each or "" for each in parts.groups())
+    plain = [found["name"] if (found := IN_HEADER.fullmatch(each)) else each for each in header]
+    if name in header or name in plain:
+        place = header.index(name) if name in header else plain.index(name)
+    elif name.isdecimal() and 0 < int(name) <= len(header):
+        place = int(name) - 1
+    else:
+        held = ", ".join(header) if text.has_rows else f"{listed(header, 6)} and no rows of numbers"
+        raise RecordError(f"{text.path}: has no column {name!r}; it has {held}")
+    return place, header[place], stated, scale
+
+
+def _number(path: Path, line: int, cell: str) -> float:
+    found = quantity(cell)
+    if found is None:
+        raise RecordError(f"{path}, line {line}: {cell!r} is not a number")
+    return found

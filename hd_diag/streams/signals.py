@@ -91,6 +91,12 @@ def unit(role: str, text: str) -> Unit:
     return known[text]
 
 
+def is_unit(text: str) -> bool:
+    """Whether it is the name of any unit."""
+    name = _OTHERWISE.get(text, text)
+    return bool(_COUNTS.fullmatch(name)) or any(name in known for known in _UNITS.values())
+
+
 @dataclass(frozen=True)
 class Signal:
     """Where a quantity stands.

@@ -1,0 +1,233 @@
+"""Tables as people have them: the same record, however its text is laid out; units of time."""
+
+import contextlib
+import os
+import shlex
+import time as clock
+from collections.abc import Callable
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_runner import assert_one_line_error, hd_diag
+from hypothesis import given as drawn
+from hypothesis import settings
+from hypothesis import strategies as st
+from joint_records import columns, joint, prepared
+from numpy.testing import assert_allclose
+from test_recording import NAMES, states, write
+
+from hd_diag.diagnosis.record import RecordError
+from hd_diag.records.joint_record import read_bags, read_motion
+from hd_diag.records.table_columns import table_columns
+from hd_diag.records.tables import Table, read_table_motion, read_tables
+from hd_diag.records.text_table import quantity
+
+ORDER = ("time", "input", "output", "torque")
+NAMED = {"time": "t", "input": "m", "output": "l", "torque": "tau"}
+NUMBERED = {"time": "1", "input": "2", "output": "3", "torque": "4"}
+
+
+@pytest.fixture(scope="module")
+def given() -> dict[str, np.ndarray]:
+    return columns(seconds=6.0)
+
+
+def rows(given: dict[str, np.ndarray], between: str, decimal: str = ".") -> list[str]:
+    values = np.stack([given[name] for name in ORDER], axis=1)
+    return [between.join(f"{v:.17g}".replace(".", decimal) for v in row) for row in values]
+
+
+def check(path: Path, given: dict[str, np.ndarray], table: Table, count: int = 1) -> None:
+    record, expected = read_tables([path], table, joint()), prepared(given)
+    for name in ("time", "input_angle", "output_angle", "reported_torque"):
+        own = getattr(record, name).reshape(count, -1)
+        assert_allclose(
+            own - own[:, :1] * (name == "time"), np.tile(getattr(expected, name), (count, 1)), 0, 1e-6
+        )
+
+
+ABOVE = {
+    "nothing": [],
+    "names": ["t{}m{}l{}tau"],
+    "remarks": ["Recorded by a logger, version 2.1", "Sample rate{}200", "", "t{}m{}l{}tau"],
+    "marked": ["# made on Monday", "# t{}m{}l{}tau"],
+    "units": ["t{}m{}l{}tau", "[s]{}[rad]{}[rad]{}[N m]"],
+}
+
+
+@pytest.mark.parametrize("above", list(ABOVE))
+@pytest.mark.parametrize(
+    ("between", "decimal"),
+    [(",", "."), (";", ","), ("\t", ","), ("|", "."), (" ", "."), ("   ", ","), (", ", ".")],
+)
+def test_rows_are_found_below_whatever_stands_above(
+    above: str, between: str, decimal: str, given: dict[str, np.ndarray], tmp_path: Path
+) -> None:
+    head = [line.replace("{}", between) for line in ABOVE[above]]
+    if above == "units" and between.isspace():
+        head[1] = head[1].replace("N m", "Nm")
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([*head, *rows(given, between, decimal)]))
+    check(path, given, Table(NUMBERED))
+    if head:
+        check(path, given, Table(NAMED))
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_encodings_of_spreadsheets(
+    encoding: str, end: str, given: dict[str, np.ndarray], tmp_path: Path
+) -> None:
+    """An angle in °, named with an umlaut, in a Windows code page or as Excel's Unicode text."""
+    shown = {**given, "output": np.degrees(given["output"])}
+    path, header = tmp_path / "a.csv", "Zeit [s];Motor;Länge (°);tau"
+    path.write_bytes(end.join([header, *rows(shown, ";", ",")]).encode(encoding))
+    check(path, given, Table({"time": "Zeit", "input": "Motor", "output": "Länge", "torque": "tau"}))
+
+
+@pytest.mark.parametrize("above", ["names", "remarks", "marked", "units"])
+def test_files_put_one_behind_the_other_are_recordings(
+    above: str, given: dict[str, np.ndarray], tmp_path: Path
+) -> None:
+    path, head = tmp_path / "a.csv", [line.replace("{}", ";") for line in ABOVE[above]]
+    path.write_text("\n".join([*head, *rows(given, ";")] * 2))
+    check(path, given, Table(NAMED), 2)
+    assert np.unique(read_tables([path], Table(NAMED), joint()).bag).size == 2
+
+
+@pytest.mark.parametrize("style", ["{:%Y-%m-%dT%H:%M:%S.%f}Z", "{:%Y-%m-%d %H:%M:%S.%f}", "{:%H:%M:%S.%f}"])
+def test_dates_and_times_of_the_day(style: str, given: dict[str, np.ndarray], tmp_path: Path) -> None:
+    begin = datetime(2024, 2, 28, 23, 59, 50, tzinfo=timezone.utc)
+    if "%Y" not in style:
+        begin -= timedelta(hours=5)
+    told = [style.format(begin + timedelta(seconds=float(t))) for t in given["time"]]
+    lines = [f"{t},{line.partition(',')[2]}" for t, line in zip(told, rows(given, ","), strict=True)]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["t,m,l,tau", *lines]))
+    check(path, given, Table(NAMED))
+
+
+@drawn(st.datetimes(datetime(1970, 1, 1), datetime(2100, 1, 1)), st.integers(-12 * 60, 14 * 60))
+@settings(max_examples=50, deadline=None)
+def test_a_date_is_the_standard_library_s(when: datetime, minutes: int) -> None:
+    aware = when.replace(tzinfo=timezone(timedelta(minutes=minutes)))
+    assert quantity(aware.isoformat()) == pytest.approx(aware.timestamp(), abs=1e-6)
+    assert quantity(when.isoformat(" ")) == pytest.approx(
+        when.replace(tzinfo=timezone.utc).timestamp(), abs=1e-6
+    )
+
+
+@drawn(st.text("0123456789.,;|\t #-eET:[]()abcN\n\"'", max_size=300))
+@settings(max_examples=300, deadline=None)
+def test_any_text_is_a_table_or_one_line(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
+    path = tmp_path_factory.getbasetemp() / "any.csv"
+    path.write_text(text)
+    with pytest.raises(RecordError) as caught:  # too short, if nothing else
+        read_tables([path], Table(NUMBERED), joint())
+    assert "\n" not in str(caught.value)
+    with contextlib.suppress(RecordError):
+        table_columns(path)
+
+
+@pytest.mark.parametrize("verb", ["diagnose", "report", "ripple", "topics"])
+def test_a_pipe_is_refused_at_once(verb: str, tmp_path: Path) -> None:
+    path = tmp_path / "pipe.csv"
+    os.mkfifo(path)
+    begin = clock.monotonic()
+    more = () if verb == "topics" else ("--columns", "time=1,input=2,output=3,torque=4")
+    assert_one_line_error(hd_diag(verb, path, *more), "is no file but a pipe")
+    assert clock.monotonic() - begin < 10.0
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+@pytest.mark.parametrize("read", [read_tables, read_table_motion])
+def test_a_time_in_another_unit_is_asked_about(
+    unit: str, factor: float, read: Callable[..., object], given: dict[str, np.ndarray], tmp_path: Path
+) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["t,m,l,tau", *rows({**given, "time": factor * given["time"]}, ",")]))
+    with pytest.raises(RecordError, match=rf"Hz\): is the time in {unit}\?.* write time=t\[{unit}\] in"):
+        read([path], Table(NAMED), joint())
+    check(path, given, Table({**NAMED, "time": f"t[{unit}]"}))
+    read([path], Table({**NAMED, "time": "t[s]"}), joint())  # if it is so
+
+
+def test_a_joint_that_needs_hours_for_a_turn_is_asked_about(tmp_path: Path) -> None:
+    """Recorded at 4 kHz, so that ms are often enough, from a bag too."""
+    time = np.arange(2000) / 4.0
+    angle = 1e-3 * time
+    path = tmp_path / "a.csv"
+    path.write_text(
+        "\n".join(
+            ["t,m,l,tau", *rows({"time": time, "input": 100 * angle, "output": angle, "torque": angle}, ",")]
+        )
+    )
+    with pytest.raises(RecordError, match=r"would need 1\.7 hours for a turn: is the time in ms\?"):
+        read_tables([path], Table(NAMED), joint())
+    for step in (1.0, 8.0):
+        bag = write(
+            tmp_path / f"{step}.mcap", states(step * time, NAMES, (100 * angle, angle), (angle, angle))
+        )
+        for read in (read_bags, read_motion):
+            with pytest.raises(RecordError, match=r"is the time in ms\? The robot's driver has to stamp"):
+                read([bag], joint())
+
+
+GUESSED = {
+    "named": (
+        "t,motor_position,link_position,tau",
+        {},
+        "time=t,input=motor_position,output=link_position,torque=tau",
+    ),
+    "units": (
+        "t [ms],motor [deg],link [turns],torque [N mm]",
+        {"time": 1e3, "input": 180 / np.pi, "output": 0.5 / np.pi, "torque": 1e3},
+        "time=t,input=motor[deg],output=link[turns],torque=torque[N mm]",
+    ),
+    "milliseconds": ("stamp,m,l,effort", {"time": 1e3}, "time=stamp[ms],input=m,output=l,torque=effort"),
+    "low lines": (
+        "time_us,motor_q_deg,link_q_rad,from_current_Nm",
+        {"time": 1e6, "input": 180 / np.pi},
+        "time=time_us[us],input=motor_q_deg[deg],output=link_q_rad,torque=from_current_Nm[Nm]",
+    ),
+    "nameless": ("", {}, "time=1,input=2,output=3"),
+    "swapped names": ("time,a=b,c[0],tau", {}, "time=time,input=2,output=3,torque=tau"),
+}
+
+
+@pytest.mark.parametrize("case", list(GUESSED))
+def test_columns_are_guessed_and_the_guess_is_taken(
+    case: str, given: dict[str, np.ndarray], tmp_path: Path
+) -> None:
+    """`topics` and `diagnose` without --columns print the same line, which gives the record."""
+    header, factors, guess = GUESSED[case]
+    path = tmp_path / "a.csv"
+    shown = {name: column * factors.get(name, 1.0) for name, column in given.items()}
+    path.write_text("\n".join([header, *rows(shown, ",")]))
+    result = hd_diag("topics", path)
+    assert (result.exit_code, result.stderr) == (0, "")
+    line = result.stdout.splitlines()[-1]
+    words = shlex.split(line)
+    assert words == ["hd-diag", "diagnose", str(path), "--columns", guess]
+    asked = hd_diag("diagnose", path)
+    assert (asked.exit_code, asked.stdout) == (2, result.stdout)
+    assert asked.stderr.endswith(f"needs --columns, such as: {line}\n")
+    taken = dict(pair.split("=", 1) for pair in guess.split(","))
+    if "torque" not in taken:
+        taken["torque"] = "4"
+    check(path, given, Table(taken))
+
+
+def test_one_angle_in_a_table_is_for_ripple(given: dict[str, np.ndarray], tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    lines = (
+        f"{t:.9g};{q:.9g};{tau:.9g}"
+        for t, q, tau in zip(given["time"], given["output"], given["torque"], strict=True)
+    )
+    path.write_text("\n".join(["t;q;tau", *lines]))
+    line = hd_diag("topics", path).stdout.splitlines()[-1]
+    assert line == f"hd-diag ripple {path} --columns time=t,output=q,torque=tau"
+    result = hd_diag(*shlex.split(line)[1:])
+    assert "columns" not in result.stderr
