@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from hd_diag.bag import BagReader, BagWriter
 from hd_diag.config.configuration import resolve
 from hd_diag.messages.encoding import encode_joint_states
-from hd_diag.records.contents import numbers, pairs
+from hd_diag.records.contents import contents, pairs
 from hd_diag.records.joint_record import read_bags
 from hd_diag.replay.replay import replay
 
@@ -137,7 +137,7 @@ def test_stamps_of_another_clock_are_as_they_were(tmp_path: Path) -> None:
 
 def test_topics_pairs_input_and_output_of_it(tmp_path: Path) -> None:
     with BagReader(joint(tmp_path / "a.mcap", 2.0013, True)) as reader:
-        found, _ = numbers(reader, reader.topics[0])
+        found = contents(reader, reader.topics[0]).numbers
     ((_, _, slope),) = pairs(found)
     assert abs(slope - 100.0) < 0.1
 
