@@ -23,8 +23,9 @@ setup(
     keywords=["ROS", "harmonic drive", "strain wave gear", "transmission error", "diagnostics"],
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={
+        NAME: ["py.typed"],
         f"{NAME}.config": ["parameters.csv"],
-        f"{NAME}.gear": ["catalogue.csv"],
+        f"{NAME}.gears": ["catalogue.csv"],
         f"{NAME}.report": ["templates/*"],
     },
     data_files=[

@@ -14,7 +14,7 @@ import numpy as np
 
 from hd_diag.config.assessment import Assessment, assess
 from hd_diag.config.configuration import resolve
-from hd_diag.gear.catalogue import Gear, table
+from hd_diag.gears.catalogue import Gear, table
 
 TABLE = Path(__file__).with_name("tables") / "gears.md"
 ARCSEC = np.pi / 648_000.0  # [rad]

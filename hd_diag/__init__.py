@@ -14,7 +14,7 @@ Rooms, each of which imports those above it alone:
 arrays              names of array types; beside it `formatting`, `memory`, `process_pool`, `whole_file`
 model               the mechanics: frames and signs, geometry, contact, load sharing, torsion and its map
 drive               one drive: a mesh in its frame, with ratio and rated torque
-gear                a drive from its catalogue page, and what a drive is in such a page's numbers
+gears               a drive from its catalogue page, and what a drive is in such a page's numbers
 effects             causes that the model leaves out
 extended_model      a drive with causes
 streams             columns of samples; input, output and torque aligned; clock rules
@@ -24,6 +24,7 @@ config              parameters and files of them, as checked joints
 messages            ROS messages as bytes, without ROS
 bag                 reading, writing and recovering recordings
 records             what bags and CSV files hold of joints
+public              what ``import hd_diag`` offers to a notebook
 replay              events of a log, and the monitor over a bag
 simulation          simulated joints, and bags of them
 ros                 the node
@@ -35,4 +36,31 @@ cli                 one module a verb
 =================== ===================================================================================
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from hd_diag.public import diagnose as diagnose
+    from hd_diag.public import gear as gear
+    from hd_diag.public import load as load
+    from hd_diag.public import mesh_state as mesh_state
+    from hd_diag.public import read as read
+    from hd_diag.public import transmission_error as transmission_error
+    from hd_diag.public import verdict as verdict
+
 __version__ = "0.1.0"
+__all__ = ["diagnose", "gear", "load", "mesh_state", "read", "transmission_error", "verdict"]
+
+
+def __getattr__(name: str) -> Any:
+    """A name of `hd_diag.public`, which is loaded when one is first used."""
+    if name not in __all__:
+        raise AttributeError(f"module 'hd_diag' has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module("hd_diag.public"), name)
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *__all__]

@@ -85,7 +85,7 @@ def known_to_the_command_line(monkeypatch: pytest.MonkeyPatch, name: str) -> lis
         asked.append((record, catalogue))
         return diagnosis(name)
 
-    monkeypatch.setattr("hd_diag.cli.record.screened", lambda record, _, teeth: record)
+    monkeypatch.setattr("hd_diag.cli.record.screened", lambda record, _: record)
     monkeypatch.setattr("hd_diag.cli.record.diagnose", known)
     return asked
 

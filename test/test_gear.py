@@ -33,10 +33,10 @@ from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE
 from hd_diag.effects.scaling import of_drive
 from hd_diag.extended_model import ExtendedModel, Range, Ranges, Term
-from hd_diag.gear.catalogue import Gear, check, named, table, usual
-from hd_diag.gear.characteristics import MeshOverTurn, ToothLoads, characteristics, tooth_loads
-from hd_diag.gear.page import Page
-from hd_diag.gear.page_fit import of_page as fitted
+from hd_diag.gears.catalogue import Gear, check, named, table, usual
+from hd_diag.gears.characteristics import MeshOverTurn, ToothLoads, characteristics, tooth_loads
+from hd_diag.gears.page import Page
+from hd_diag.gears.page_fit import of_page as fitted
 from hd_diag.model.load_sharing import mesh_state
 from hd_diag.model.torsion import torsion, torsion_table
 from hd_diag.report.teeth import teeth_over_turn

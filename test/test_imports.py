@@ -18,7 +18,7 @@ CHAIN = (
     ("arrays", "formatting", "memory", "process_pool", "whole_file"),
     ("model",),
     ("drive",),
-    ("gear",),
+    ("gears",),
     ("effects",),
     ("extended_model",),
     ("streams",),
@@ -27,6 +27,7 @@ CHAIN = (
     ("messages",),
     ("bag",),
     ("records",),
+    ("public",),
     ("replay",),
     ("simulation",),
     ("ros",),
@@ -39,7 +40,7 @@ CHAIN = (
 )
 PLACE = {room: i for i, rooms in enumerate(CHAIN) for room in rooms}
 CORE = (
-    *("model", "drive", "gear", "effects", "extended_model", "streams", "monitor", "diagnosis", "tolerance"),
+    *("model", "drive", "gears", "effects", "extended_model", "streams", "monitor", "diagnosis", "tolerance"),
 )
 # Where the libraries of the edges may be named, in whatever part of a module.
 ROS = ("ros", "watch")

@@ -81,7 +81,7 @@ def test_licence_agrees(metadata: Message, package_xml: Package) -> None:
 def test_everything_is_installed(wheel: zipfile.ZipFile, source_copy: Path) -> None:
     """Modules, the page's templates, data files and the entry of the ament index."""
     files = {path.relative_to(source_copy).as_posix() for path in source_copy.rglob("*") if path.is_file()}
-    package = {name for name in files if re.match(r"hd_diag/(.*\.(py|csv)$|report/templates/)", name)}
+    package = {name for name in files if re.match(r"hd_diag/(.*\.(py|csv|typed)$|report/templates/)", name)}
     data = {name for name in files if re.match(r"(config|launch|examples)/", name)}
     assert len(package) > 100
     assert {name.partition("/")[0] for name in data} == {"config", "launch", "examples"}

@@ -34,8 +34,10 @@ from hd_diag.diagnosis.search.causes import Search, causes
 from hd_diag.diagnosis.search.unexplained import Unexplained
 from hd_diag.drive import mesh_state, transmission_error
 from hd_diag.formatting import arcsec, words
+from hd_diag.gears.catalogue import table
+from hd_diag.records.joint_record import InputRecord
 from hd_diag.report.advice import COLOURS, Gauge, cards, worst
-from hd_diag.report.facts import Fact, JointReport, Judgement, quality_of, settings
+from hd_diag.report.facts import Fact, JointReport, Judgement, of_motion, quality_of, settings
 from hd_diag.report.page import TERMS, Links, page, used
 from hd_diag.report.torsion import k_shown
 
@@ -176,6 +178,21 @@ def test_terms_are_explained_where_they_come_first() -> None:
     )
     assert list(used("lost motion of a datum")) == ["datum", "lost motion"]
     assert {"datum", "overlap", "interference", "lost motion", "windup"} <= set(TERMS)
+
+
+def test_stiffness_stands_beside_that_of_the_page_between_its_t1_and_t2() -> None:
+    config = resolve(
+        {f"joint_1.gear.{n}": value for n, value in table()["CSG-14-50"]._asdict().items() if n != "series"}
+    )
+    motion = InputRecord(np.arange(300) * 0.01, np.linspace(0.0, 20.0, 300), None, np.zeros(300, np.int64))
+    found = of_motion(motion, config.joints[0], config.flat, "nothing")
+    assert [(one.low, one.high) for one in found.torsion.stiffness[1:]] == [(2.0, 6.9), (6.9, 13.8)]
+    assert [one.page for one in found.torsion.stiffness] == [3400.0, 4700.0, 5700.0]
+    shown = page([found], [])
+    assert 'data-name="page">0.340<' in shown
+    assert "K2, 2 to 6.9 N m" in shown
+    config = resolve({})
+    assert 'data-name="page"' not in page([of_motion(motion, config.joints[0], config.flat, "nothing")], [])
 
 
 def test_a_stiffness_has_its_digits_in_small_and_in_large_gears() -> None:

@@ -11,7 +11,7 @@ from hd_diag.config import gear_file
 from hd_diag.config.assessment import Assessment, assess
 from hd_diag.config.configuration import JointConfig
 from hd_diag.formatting import ARCSEC
-from hd_diag.gear.characteristics import Characteristics
+from hd_diag.gears.characteristics import Characteristics
 
 
 def check(config_file: str, json_file: str | None) -> None:

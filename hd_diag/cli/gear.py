@@ -13,7 +13,7 @@ from hd_diag.cli.targets import Problem, check_new, write_json, writing
 from hd_diag.config import gear_file
 from hd_diag.config.assessment import Assessment, assess
 from hd_diag.config.configuration import Config, JointConfig, resolve
-from hd_diag.gear.catalogue import named
+from hd_diag.gears.catalogue import named
 
 _ARCMIN = math.pi / 10800.0  # [rad]
 _PARAMETERS = {"accuracy": "accuracy", "output": "output"}  # the others are of the page

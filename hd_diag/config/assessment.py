@@ -13,8 +13,8 @@ from hd_diag.arrays import Floats
 from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.config.defaults import EXAMPLE, page_of
 from hd_diag.config.parameters import of_joint
-from hd_diag.gear.characteristics import Characteristics, characteristics, mean_torsion, slot_shift
-from hd_diag.gear.page import Page
+from hd_diag.gears.characteristics import Characteristics, characteristics, mean_torsion, slot_shift
+from hd_diag.gears.page import Page
 
 _FAR = 1.5  # reached over given stiffness, either way [-]
 # Of the overlap that is warned of, without any eccentricity [-]; of a drive with a page, whose torsion curve

@@ -1,7 +1,7 @@
 """What a joint's parameters are where its file does not give them: from a catalogue page, or by its size.
 
 The defaults of the table are those of the example drive. With a page in the section ``gear`` the drive's own
-come from the page (:mod:`hd_diag.gear`); limits and tolerances go with the drive, wherever that comes from.
+come from the page (:mod:`hd_diag.gears`); limits and tolerances go with the drive, wherever that comes from.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from hd_diag.config.configured_drive import drive_from, geometry_parameters
 from hd_diag.config.parameters import JOINT_PARAMETERS, LIMITS, Value
 from hd_diag.drive import Drive
 from hd_diag.formatting import rounded
-from hd_diag.gear import catalogue, page_fit
-from hd_diag.gear.characteristics import MeshOverTurn, slot_phases
-from hd_diag.gear.page import T1_SHARE, T2_SHARE, Page
-from hd_diag.gear.similarity import LEAST_TEETH
+from hd_diag.gears import catalogue, page_fit
+from hd_diag.gears.characteristics import MeshOverTurn, slot_phases
+from hd_diag.gears.page import T1_SHARE, T2_SHARE, Page
+from hd_diag.gears.similarity import LEAST_TEETH
 from hd_diag.model.mesh import Mesh
 
 DEFAULTS: Mapping[str, Value] = {p.name: p.default for p in JOINT_PARAMETERS}

@@ -14,7 +14,7 @@ from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.config.defaults import DEFAULTS, EXAMPLE, resolved
 from hd_diag.config.parameters import JOINT_PARAMETERS, Parameter, nested
 from hd_diag.formatting import ARCSEC
-from hd_diag.gear.characteristics import slot_shift
+from hd_diag.gears.characteristics import slot_shift
 
 ASSUMED_PROFILE = (
     "backlash of single teeth, the eccentricity of the first interference and forces on teeth are those of "

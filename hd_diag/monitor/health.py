@@ -14,7 +14,7 @@ from hd_diag.arrays import Floats
 from hd_diag.drive import Drive, mesh_state, transmission_error
 from hd_diag.extended_model import Range
 from hd_diag.formatting import visible
-from hd_diag.gear.characteristics import ToothLoads, tooth_loads
+from hd_diag.gears.characteristics import ToothLoads, tooth_loads
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.monitor.absence import absence, absence_of
 from hd_diag.monitor.joint import Joint, Window

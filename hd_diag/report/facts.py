@@ -13,6 +13,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.config.configuration import JointConfig
+from hd_diag.config.defaults import page_of
 from hd_diag.config.parameters import JOINT_PARAMETERS, SIGNALS, Value
 from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
@@ -23,6 +24,7 @@ from hd_diag.diagnosis.ripple.verdict import sentence as ripple_sentence
 from hd_diag.diagnosis.verdict import sentence
 from hd_diag.effects.order_spectrum import line_width, spectrum
 from hd_diag.formatting import number, percent, words
+from hd_diag.gears.page import Page
 from hd_diag.records.joint_record import InputRecord
 from hd_diag.replay.versions import running
 from hd_diag.report import stages, torsion
@@ -116,7 +118,7 @@ def of_diagnosis(
         joint.name,
         sentence(answer),
         "refitted" if diagnosis.refitted else "configured",
-        torsion.measured(found, diagnosis.configured, rng),
+        torsion.measured(found, diagnosis.configured, rng, _page(joint, flat)),
         teeth_over_turn(drive, record.input_angle, record.torque),
         (quality[0], excluded, runs, *quality[1:]),
         settings(joint, flat),
@@ -136,18 +138,24 @@ def of_motion(
     lost = "".join(f"{line[:1].upper()}{line[1:]}. " for line in motion.stamps.lines if line not in reason)
     drive, assumed = joint.drive, np.full(motion.time.size, joint.torque)
     teeth = teeth_over_turn(drive, motion.input_angle, assumed if motion.torque is None else motion.torque)
+    most = max(abs(teeth.torque), drive.rated_torque)
     return JointReport(
         joint.name,
         f"{found}Nothing {'else ' * bool(found)}could be judged: {reason}. {lost}"
         "What follows is what the model says of the motion.",
         "configured" if joint.model is None else "extended",
-        torsion.simulated(joint.configured, drive, max(abs(teeth.torque), drive.rated_torque)),
+        torsion.simulated(joint.configured, drive, most, _page(joint, flat)),
         teeth,
         tuple(quality_of(motion.time, motion.input_angle, motion.torque, drive.kinematics.ratio, motion.bag)),
         settings(joint, flat),
         None,
         ripple,
     )
+
+
+def _page(joint: JointConfig, flat: Mapping[str, Value]) -> Page | None:
+    """The joint's catalogue page, None where it has none."""
+    return page_of({p.name: flat.get(f"{joint.name}.{p.name}", p.default) for p in JOINT_PARAMETERS})
 
 
 def quality_of(

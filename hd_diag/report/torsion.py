@@ -9,11 +9,9 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.drive import Drive
 from hd_diag.formatting import number
+from hd_diag.gears.characteristics import stiffness_steps
+from hd_diag.gears.page import T1_SHARE, T2_SHARE, Page
 from hd_diag.report.stages import EXTENDED, Band, Stages, band, mean_error
-
-# Ends of the ranges of K1, K2 and K3 over the rated torque [-]. The catalogue of a size-25, ratio-100 gear
-# has its knees at T1 = 14 and T2 = 48 N m, these shares of the example drive's 56 N m; K3 ends at 100 N m.
-_KNEES = np.array([1.0, 14.0, 48.0, 100.0]) / 56.0
 
 _BINS = 32
 _NODES = 61
@@ -28,7 +26,7 @@ class Stiffness:
     """Torsional stiffness [N m/rad] within a range of torque [N m]; nan where it is not known.
 
     Configured and fitted are secants of the simulated curves, averaged over the angle; measured is the slope
-    of the measured error on the torque, with its 95 % interval.
+    of the measured error on the torque, with its 95 % interval. `page` is that of the catalogue page.
     """
 
     name: str
@@ -36,6 +34,7 @@ class Stiffness:
     high: float
     configured: float
     fitted: float
+    page: float = float("nan")
     measured: float = float("nan")
     measured_low: float = float("nan")
     measured_high: float = float("nan")
@@ -65,11 +64,15 @@ class Torsion:
     extended: tuple[Floats, ...] = ()
 
 
-def simulated(configured: Drive, fitted: Drive, most: float) -> Torsion:
-    """The curve of the model alone, up to a torque [N m]."""
+def simulated(configured: Drive, fitted: Drive, most: float, page: Page | None) -> Torsion:
+    """The curve of the model alone, up to a torque [N m]; T1 and T2 are the page's or shares of the rated."""
     torque = most * np.linspace(-1.0, 1.0, _NODES)
-    ends = configured.rated_torque * _KNEES
-    secants = np.stack([ends[:-1], ends[1:], _secants(configured, ends), _secants(fitted, ends)], axis=1)
+    rated = configured.rated_torque
+    ends = stiffness_steps(*((page.t1, page.t2) if page else (T1_SHARE * rated, T2_SHARE * rated)))
+    given = np.array(page.stiffness) if page else np.full(3, np.nan)
+    secants = np.stack(
+        [ends[:-1], ends[1:], _secants(configured, ends), _secants(fitted, ends), given], axis=1
+    )
     stiffness = tuple(Stiffness(f"K{n}", *row) for n, row in enumerate(secants.tolist(), start=1))
     return Torsion(torque, mean_error(configured, torque)[0], *mean_error(fitted, torque), stiffness)
 
@@ -81,10 +84,10 @@ def _secants(drive: Drive, ends: Floats) -> Floats:
     return np.asarray(np.diff(ends) / np.diff(torsion))
 
 
-def measured(found: Stages, configured: Drive, rng: np.random.Generator) -> Torsion:
+def measured(found: Stages, configured: Drive, rng: np.random.Generator, page: Page | None) -> Torsion:
     """The measured curve beside the simulated ones; blocks are drawn for the intervals of the stiffness."""
     record, torque = found.record, found.record.torque
-    alone = simulated(configured, found.drive, max(float(np.max(np.abs(torque))), 1.0))
+    alone = simulated(configured, found.drive, max(float(np.max(np.abs(torque))), 1.0), page)
     if not record.has_torque:
         return alone
     rate = np.gradient(torque, record.time)

@@ -29,7 +29,7 @@ from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.config.json_shape import reader
 from hd_diag.config.parameter_file import is_for
 from hd_diag.formatting import visible
-from hd_diag.gear.characteristics import tooth_loads
+from hd_diag.gears.characteristics import tooth_loads
 from hd_diag.memory import give_back, map_large_arrays
 from hd_diag.messages.publications import TEMPERATURE, temperature_topic
 from hd_diag.model.torsion_map import ARCSEC

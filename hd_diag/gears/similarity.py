@@ -2,7 +2,7 @@
 
 A catalogue tells size, ratio and stiffness, never teeth. Teeth go with the module, and so does the radial
 deformation of the flexspline; the neutral curve's perimeter goes with the pitch circle. Where the circular
-spline's slots lie beyond that, the page's torsion curve tells (:mod:`hd_diag.gear.page_fit`). What follows
+spline's slots lie beyond that, the page's torsion curve tells (:mod:`hd_diag.gears.page_fit`). What follows
 from the profile rather than from the stiffness stays assumed: backlash of single teeth, the eccentricity of
 the first interference, forces on teeth.
 """

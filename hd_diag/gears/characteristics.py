@@ -11,7 +11,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.drive import Drive
-from hd_diag.gear.page import T1_SHARE, T2_SHARE
+from hd_diag.gears.page import T1_SHARE, T2_SHARE
 from hd_diag.model.contact import FLANKS, contacts
 from hd_diag.model.geometry import Geometry
 from hd_diag.model.load_sharing import FlankTorsion, flank_stiffness

@@ -14,9 +14,9 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.formatting import rounded
-from hd_diag.gear.characteristics import MeshOverTurn, slot_phases
-from hd_diag.gear.page import Page
-from hd_diag.gear.similarity import module_scale, moved, similar
+from hd_diag.gears.characteristics import MeshOverTurn, slot_phases
+from hd_diag.gears.page import Page
+from hd_diag.gears.similarity import module_scale, moved, similar
 from hd_diag.model.mesh import Mesh
 
 _PROBED = 4e-6  # by which slots move to tell the overlap's change, of a drive with the known one's module [m]

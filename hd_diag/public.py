@@ -1,0 +1,148 @@
+"""The package in a notebook: a drive, one moment of it, a record and its diagnosis, in a few lines.
+
+``import hd_diag`` offers all of it and loads nothing until a name is used. The page "In Python" has examples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag import drive as core
+from hd_diag.arrays import Floats
+from hd_diag.config import configuration
+from hd_diag.config.configuration import ConfigError, JointConfig
+from hd_diag.config.parameters import flatten
+from hd_diag.diagnosis import diagnosis as offline
+from hd_diag.diagnosis.diagnosis import Diagnosis
+from hd_diag.diagnosis.fit.fit_parameters import warm_up
+from hd_diag.diagnosis.record import Record
+from hd_diag.diagnosis.screening import screened
+from hd_diag.diagnosis.verdict import as_json
+from hd_diag.drive import Drive, MeshState
+from hd_diag.gears.catalogue import Gear, named
+from hd_diag.records.joint_record import read_bags
+from hd_diag.records.tables import Table, read_tables
+
+_OF_PAGE = ("size", "pitch_diameter", "lost_motion", *Gear._fields[2:])
+
+
+def load(file: str | Path) -> dict[str, JointConfig]:
+    """Joints of a parameter file by their names; each has its ``drive``.
+
+    Raises
+    ------
+    ConfigError
+        Naming the parameter, its value and what was expected.
+    """
+    return {joint.name: joint for joint in configuration.load(file).joints}
+
+
+def gear(name: str | Mapping[str, Any] | None = None, /, **values: Any) -> Drive:
+    """A drive from its catalogue page, as ``hd-diag gear`` makes it.
+
+    Parameters
+    ----------
+    name : str or mapping, optional
+        A gear of the table, as CSG-25-100, or the values.
+    **values
+        Of the page: `size` [0.1 inch] or `pitch_diameter` [m], `ratio` [-], `rated_torque`, `t1`, `t2` [N m],
+        `k1`, `k2`, `k3` [N m/rad], `lost_motion` [rad]; and of the joint, by the names in a parameter file:
+        ``eccentricity={"magnitude": 5e-6, "direction": 0.0}``. They beat the table's.
+
+    Raises
+    ------
+    ConfigError
+        For a name that is not in the table, and for values of which no drive can be made.
+    """
+    given: dict[str, Any] = {}
+    if isinstance(name, str):
+        try:
+            given = named(name)[1]._asdict()
+        except ValueError as error:
+            raise ConfigError(str(error)) from error
+        del given["series"]
+        given["ratio"] += values.get("output") == "circular_spline"  # the page's is of a fixed one
+    elif name is not None:
+        given = dict(name)
+    own = flatten({**given, **values})
+    flat = {f"joint_1.{'gear.' * (key in _OF_PAGE)}{key}": value for key, value in own}
+    return configuration.resolve(flat).joints[0].drive
+
+
+def mesh_state(drive: Drive, angle: npt.ArrayLike, torque: npt.ArrayLike) -> MeshState:
+    """Backlash and load of every tooth, as ``hd-diag mesh`` tells them.
+
+    Parameters
+    ----------
+    drive : Drive
+    angle : float or array (moments,)
+        Input angle as reported [rad].
+    torque : float or array (moments,)
+        That turns the cup counter-clockwise [N m]: for one that the drive exerts on the link,
+        ``drive.frame.cup_torque(torque)``.
+    """
+    return core.mesh_state(drive, *_moments(angle, torque))
+
+
+def transmission_error(drive: Drive, angle: npt.ArrayLike, torque: npt.ArrayLike) -> Floats:
+    """Output angle less input angle over ratio (moments,) [rad].
+
+    At input angles as reported [rad] and torques that the drive exerts on the link [N m], floats or arrays.
+    """
+    return core.transmission_error(drive, *_moments(angle, torque))
+
+
+def read(
+    files: str | Path | Sequence[str | Path],
+    joint: JointConfig,
+    columns: Mapping[str, str] | None = None,
+    rate: float = 0.0,
+) -> Record:
+    """A joint's record from bags, or from CSV files where `columns` are given.
+
+    Parameters
+    ----------
+    files : path or sequence of paths
+        Each begins a new run.
+    joint : JointConfig
+        Of :func:`load`: it says where the joint's signals stand.
+    columns : mapping, optional
+        Columns by what they hold (time, input, output, torque, temperature), each with its unit in brackets
+        where it is not SI: ``{"input": "motor[deg]"}``.
+    rate : float
+        Of CSV files without a column of time [Hz].
+
+    Raises
+    ------
+    BagError, RecordError
+        Saying why there is nothing that can be judged.
+    """
+    paths = [files] if isinstance(files, (str, Path)) else files
+    if columns is None:
+        return read_bags(paths, joint)
+    return read_tables(paths, Table(columns, rate=rate), joint)
+
+
+def diagnose(record: Record, drive: Drive, seed: int = 0) -> Diagnosis:
+    """What the model of a drive gets wrong in a record, and why; :func:`verdict` says it.
+
+    The same seed gives the same numbers. It takes some seconds, and a minute the first time on a machine.
+    """
+    looked = screened(record, drive)
+    warm_up()
+    return offline.diagnose(looked, drive, np.random.default_rng(seed))
+
+
+def verdict(diagnosis: Diagnosis, joint: str = "joint_1") -> dict[str, Any]:
+    """What ``hd-diag diagnose --json`` writes: ``verdict`` is the sentence, ``causes`` the list; SI."""
+    return as_json(diagnosis, joint)
+
+
+def _moments(angle: npt.ArrayLike, torque: npt.ArrayLike) -> tuple[Floats, Floats]:
+    found, load = np.broadcast_arrays(np.atleast_1d(angle), np.atleast_1d(torque))
+    return np.asarray(found, dtype=np.float64), np.asarray(load, dtype=np.float64)
