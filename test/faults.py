@@ -305,6 +305,10 @@ a publisher of best effort | node | heard likewise
     test_node.py::test_a_best_effort_publisher_that_appears_later
 a clock set back | node | state begins anew
     test_node.py::test_simulated_time_that_jumps_back
+stamps of zero | node, bags | the time of reception stands for them; counted and said
+    test_stamps_of_zero.py::test_stamps_of_zero_are_the_time_of_reception_and_that_is_said
+efforts or velocities fewer than names | node, bags | not read; what is mapped by name is refused
+    test_stamps_of_zero.py::test_what_is_not_mapped_is_not_checked
 a recorder's clock set back | bags | told; what comes after is another recording
     test_recorder_clock.py::test_a_record_begins_another_recording_there
 requests that make no sense | node | answered or dropped; samples go on

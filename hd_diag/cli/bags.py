@@ -70,6 +70,8 @@ def _tell_replay(result: Replay, out: Path, took: float) -> None:
     for joint, why in result.absent.items():
         tell(f"hd-diag: {joint}: {why}", err=True)
     for joint in result.joints:
+        if zero := result.stamps_zero[joint]:
+            tell(f"{joint}: the stamps of {zero} messages are zero: the time of reception stands for them")
         if result.rejected[joint] or result.missed[joint]:
             last = f", the last because: {result.last_rejection[joint]}" if result.rejected[joint] else ""
             gaps = f"{result.missed[joint]} missing by the stamps"

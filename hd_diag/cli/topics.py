@@ -262,7 +262,8 @@ def _joint(output: NumericField, pair: AnglePair | None, every: list[NumericFiel
 def _signal(n: NumericField) -> dict[str, Value]:
     unit = {} if n.unit in ("rad", "N m", "degC", "") else {"unit": n.unit}
     kind = {} if n.topic.type_name == JOINT_STATE else {"type": n.topic.type_name.replace("/msg/", "/")}
-    return {"topic": n.topic.name, **kind, "field": n.field, **unit}
+    stamp = {"stamp": "reception"} if n.by_reception else {}
+    return {"topic": n.topic.name, **kind, "field": n.field, **unit, **stamp}
 
 
 def tell_contents(result: dict[str, Any]) -> None:

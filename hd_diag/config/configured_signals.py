@@ -45,8 +45,8 @@ def signals_from(joint: str, own: Mapping[str, Value]) -> JointSignals:
 def _signal(joint: str, role: str, owner: str, own: Mapping[str, Value]) -> Signal | None:
     keys = ("topic", "type", "field", "name", "unit")
     topic, kind, field, name, text = (own[f"{owner}.{key}"] for key in keys)
-    scale, sign = own[f"{owner}.scale"], own[f"{owner}.sign"]
-    if (topic, kind, field, name, text, scale, sign) == ("", "", "", "", "", 1.0, 1):
+    scale, sign, stamp = (own[f"{owner}.{key}"] for key in ("scale", "sign", "stamp"))
+    if (topic, kind, field, name, text, scale, sign, stamp) == ("", "", "", "", "", 1.0, 1, "header"):
         return None
     usual_field, usual_unit = _USUAL[role]
     type_name = _type(f"{joint}.{owner}.type", kind) or (
@@ -66,7 +66,8 @@ def _signal(joint: str, role: str, owner: str, own: Mapping[str, Value]) -> Sign
     except ValueError as error:
         raise ConfigError(f"{joint}.{owner}.unit: {error}") from error
     known = known._replace(factor=known.factor * scale * sign)
-    return Signal(topic, type_name, (field or usual_field).replace("{name}", name), name, known)
+    path = (field or usual_field).replace("{name}", name)
+    return Signal(topic, type_name, path, name, known, stamp == "reception")
 
 
 def _type(parameter: str, text: str) -> str:

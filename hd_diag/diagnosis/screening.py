@@ -139,7 +139,7 @@ def _other_units(record: Record, configured: Drive) -> Finding | None:
 
 def _lost_samples(record: Record) -> list[Finding]:
     """Findings of files that are not whole, clocks set back, samples refused or without a partner."""
-    refused, _, unpaired, set_back, problems = record.stamps
+    refused, _, unpaired, set_back, problems, unstamped = record.stamps
     found = []
     if problems:
         found.append(Finding("incomplete", record.stamps.broken, float(len(problems)), "-", False))
@@ -147,6 +147,8 @@ def _lost_samples(record: Record) -> list[Finding]:
         times = "once" if set_back == 1 else f"{set_back} times"
         text = f"the clock was set back {times} in the middle of a recording: what comes after counts as"
         found.append(Finding("clock_set_back", f"{text} another recording", float(set_back), "-", False))
+    if unstamped:
+        found.append(Finding("stamps_zero", record.stamps.received, float(unstamped), "-", False))
     whole = record.extent.samples + record.dropped + unpaired
     if refused > _REPEATED * whole:
         found.append(Finding("refused_rows", record.stamps.lines[-1], refused / whole, "-", False))

@@ -35,7 +35,8 @@ class Stamps(NamedTuple):
     """Counts of samples that are in no record.
 
     How many were refused and why the last; output angles without an input angle at their stamp; how often the
-    clock was set back in the middle of a recording; what is unfinished, damaged or missing of its files.
+    clock was set back in the middle of a recording; what is unfinished, damaged or missing of its files;
+    messages whose stamp was zero, for which the time of reception stands.
     """
 
     refused: int = 0
@@ -43,19 +44,26 @@ class Stamps(NamedTuple):
     unpaired: int = 0
     set_back: int = 0
     problems: tuple[str, ...] = ()
+    unstamped: int = 0
 
     @property
     def reported(self) -> dict[str, Any]:
         """The same by names, for JSON."""
-        names = "refused", "last_refusal", "unpaired", "clock_set_back", "problems"
-        return dict(zip(names, (*self[:-1], list(self.problems)), strict=True))
+        names = "refused", "last_refusal", "unpaired", "clock_set_back", "problems", "stamps_zero"
+        return dict(zip(names, self, strict=True)) | {"problems": list(self.problems)}
 
     @property
     def lines(self) -> list[str]:
         """For people: what is not whole, and what was refused."""
         count = f"{self.refused} samples are" if self.refused > 1 else "1 sample is"
         refused = f"{count} left out, the last because: {self.reason}"
-        return [*([self.broken] if self.problems else []), *([refused] if self.refused else [])]
+        broken = [self.broken] if self.problems else []
+        return [*broken, *([self.received] if self.unstamped else []), *([refused] if self.refused else [])]
+
+    @property
+    def received(self) -> str:
+        """What is said of stamps of zero."""
+        return f"the stamps of {self.unstamped} messages are zero: the time of reception stands for them"
 
     def after(self, text: str) -> str:
         """A text, followed by what is not whole of the files unless it says so already."""
@@ -71,6 +79,9 @@ class Stamps(NamedTuple):
     @property
     def why(self) -> str:
         """Why there are so few samples, as far as it is known; empty where it is not."""
+        if self.unstamped:
+            both = "`stamp: reception` for the joint's other signals puts all on one clock"
+            return self.after(f": {self.received}; {both}")
         if self.unpaired:
             return self.after(f": {self.unpaired} output angles {UNPAIRED}")
         refused = f": {self.refused} were refused, the last because: {self.reason}"
@@ -80,7 +91,8 @@ class Stamps(NamedTuple):
         """Counts of this recording and a later one together."""
         counts = self.unpaired + later.unpaired, self.set_back + later.set_back
         problems = tuple(dict.fromkeys(self.problems + later.problems))
-        return Stamps(self.refused + later.refused, later.reason or self.reason, *counts, problems)
+        unstamped = self.unstamped + later.unstamped
+        return Stamps(self.refused + later.refused, later.reason or self.reason, *counts, problems, unstamped)
 
 
 UNTOLD = Stamps()

@@ -68,6 +68,7 @@ class FieldReader:
         self._units = {key: signal.unit for key, signal in signals.items()}
         self._paths = {key: path_in(store, type_name, signal) for key, signal in signals.items()}
         self._stamp = stamp_path(store, type_name)
+        self._by_reception = any(signal.by_reception for signal in signals.values())
         self._layouts: dict[int, list[_Layout]] = {}
         self.names: list[str] = []
 
@@ -79,7 +80,8 @@ class FieldReader:
         rejected: list[Rejection] = []
         for rows, index in by_size(payload):
             for layout, chosen in self._by_layout(rows, index, rejected):
-                columns += self._states(layout, rows[chosen], index[chosen], received, rejected)
+                for states in self._states(layout, rows[chosen], index[chosen], received, rejected):
+                    columns += states.stamped(received, self._by_reception)
         return sorted(columns, key=lambda states: int(states.row[0])), sorted(rejected)
 
     def one(self, data: bytes, received: Times) -> JointStates:
@@ -106,7 +108,8 @@ class FieldReader:
                 raise ValueError(bad_stamp(nano))
             stamp = np.array([second * _NANOSECONDS + nano])
         signals = np.array([values]) if values else None
-        return JointStates(_FIRST, stamp, (), "", None, None, None, signals, tuple(layout.numbers))
+        states = JointStates(_FIRST, stamp, (), "", None, None, None, signals, tuple(layout.numbers))
+        return states.stamped(received, self._by_reception)[0]
 
     def _by_layout(
         self, rows: Bytes, index: Integers, rejected: list[Rejection]

@@ -20,7 +20,7 @@ from hd_diag.config.configured_signals import JOINT_STATE as JOINT_STATE
 from hd_diag.messages.cdr import Walk, aligned, bad_stamp, by_size
 from hd_diag.messages.field_path import path_in
 from hd_diag.messages.schemas import jazzy
-from hd_diag.streams.columns import JointStates
+from hd_diag.streams.columns import BLOCKS, JointStates
 from hd_diag.streams.signals import Signal
 
 # Number of layouts per decoder that are remembered; one topic rarely has more than one or two.
@@ -41,14 +41,14 @@ class Rejection(NamedTuple):
 class Layout(NamedTuple):
     """Where things are in messages of one shape: byte order ('<' or '>'), names, frame, and places [byte].
 
-    `present` tells which of position, velocity and effort there are, `places` where; `fixed` (m, 2) are the
-    ranges that are the same in all messages as in the `template`.
+    `lengths` are those of position, velocity and effort, `places` where those begin that are not empty;
+    `fixed` (m, 2) are the ranges that are the same in all messages as in the `template`.
     """
 
     order: str
     names: tuple[str, ...]
     frame_id: str
-    present: tuple[bool, ...]
+    lengths: tuple[int, ...]
     places: Integers
     template: Bytes
     fixed: Integers
@@ -72,21 +72,20 @@ def layout_of(data: bytes) -> Layout:
     for _ in range(count):
         name, begin = _text(walk, begin)
         names.append(name)
-    fixed, places, begin = [(0, 4)], [], _FRAME
-    for what in ("position", "velocity", "effort"):
+    fixed, places, lengths, begin = [(0, 4)], [], [], _FRAME
+    for what in BLOCKS:
         _, length, start = walk.elements(*fields[what])
-        if length not in (0, count):
-            raise ValueError(f"has {length} values of {what} for {count} names")
         fixed.append((begin, start))
-        places.append(aligned(start, 8) if length else 0)
+        lengths.append(length)
+        places += [aligned(start, 8)] if length else []
         begin = places[-1] + 8 * length if length else start
-    present, template = tuple(map(bool, places)), np.frombuffer(data, np.uint8)
+    template = np.frombuffer(data, np.uint8)
     return Layout(
         "<" if data[1] else ">",
         tuple(names),
         frame_id,
-        present,
-        np.array([*filter(None, places)], np.int64),
+        tuple(lengths),
+        np.array(places, np.int64),
         template,
         np.array(fixed),
     )
@@ -171,25 +170,39 @@ class JointStateReader:
 
     def __init__(self, signals: Mapping[str, Signal]) -> None:
         self._decoder = JointStateDecoder()
+        self._by_reception = any(signal.by_reception for signal in signals.values())
         self._signals = {key: (*_place(signal), signal.unit) for key, signal in signals.items()}
 
     def columns(
         self, payload: Bytes | Sequence[bytes | memoryview], received: Times
     ) -> tuple[list[JointStates], list[Rejection]]:
-        """Columns of messages, as `decode_joint_states`."""
+        """Columns of messages, as `decode_joint_states`, with stamps that are known."""
+        found: list[JointStates] = []
         columns, rejected = self._decoder.columns(payload)
-        return [self._with_signals(states) for states in columns] if self._signals else columns, rejected
+        for states in columns:
+            try:
+                whole = self._with_signals(states) if self._signals else states
+            except ValueError as error:
+                rejected += [Rejection(row, str(error)) for row in states.row.tolist()]
+            else:
+                found += whole.stamped(received, self._by_reception)
+        return found, sorted(rejected)
 
     def one(self, data: bytes, received: Times) -> JointStates:
         """Columns, n = 1, of one message; ValueError says how it is malformed."""
         states = self._decoder.decode(data)
-        return self._with_signals(states) if self._signals else states
+        (found,) = (self._with_signals(states) if self._signals else states).stamped(
+            received, self._by_reception
+        )
+        return found
 
     def _with_signals(self, states: JointStates) -> JointStates:
         found = {}
         for key, (number, index, unit) in self._signals.items():
             block = states.blocks[number]
             column = index if isinstance(index, int) else _column_of(states.names, index)
+            if isinstance(index, str) and column >= 0 and (text := states.misfit(number)):
+                raise ValueError(text)
             if block is not None and 0 <= column < block.shape[1]:
                 found[key] = block[:, column] * unit.factor + unit.offset
         signals = np.stack([*found.values()], axis=1) if found else None
@@ -232,10 +245,10 @@ def _take(
     layout: Layout, rows: Bytes, index: Times, columns: list[JointStates], rejected: list[Rejection]
 ) -> tuple[Bytes, Times]:
     """Decode the messages that have a layout; gives the others with their positions."""
-    count, width = len(rows), len(layout.names)
-    stamp, values = np.empty(count, np.int64), np.empty((count, layout.places.size * width))
+    count, widths = len(rows), np.array([*filter(None, layout.lengths)], np.int64)
+    stamp, values = np.empty(count, np.int64), np.empty((count, sum(layout.lengths)))
     fate, rest = np.zeros(count, np.uint8), (rows[:0], index[:0])
-    known = layout.template, layout.fixed, layout.places, layout.order == ">"
+    known = layout.template, layout.fixed, layout.places, widths, layout.order == ">"
     if kernel().read(np.ascontiguousarray(rows), *known, stamp, values, fate):
         for row in np.flatnonzero(fate == kernel().BAD_STAMP).tolist():
             rejected.append(Rejection(int(index[row]), bad_stamp(stamp[row])))
@@ -243,9 +256,10 @@ def _take(
         rest = rows[is_other], index[is_other]
         stamp, values, index = stamp[is_read], values[is_read], index[is_read]
     if index.size:
-        begins = itertools.count(0, width)
+        ends = itertools.accumulate(layout.lengths)
         position, velocity, effort = (
-            values[:, (at := next(begins)) : at + width] if there else None for there in layout.present
+            values[:, end - length : end] if length else None
+            for end, length in zip(ends, layout.lengths, strict=True)
         )
         own = layout.names, layout.frame_id
         columns.append(JointStates(index, stamp, *own, position, velocity, effort))

@@ -56,17 +56,18 @@ def read(
     template: Bytes,
     fixed: Integers,
     places: Integers,
+    widths: Integers,
     is_big_endian: bool,
     stamp: Times,
     values: Floats,
     fate: Bytes,
 ) -> int:
-    """Stamps [ns] (n,) and values (n, m k) of messages (n, size), m arrays of k; how many were not `READ`.
+    """Stamps [ns] (n,) and values of messages (n, size), m arrays side by side; how many were not `READ`.
 
     Messages that differ from the template in a fixed range (begin and end, (r, 2)) are of an `OTHER` layout;
     of a `BAD_STAMP` the stamp is what stands for its nanoseconds.
     """
-    failed, width = 0, 8 * values.shape[1] // max(1, places.size)
+    failed = 0
     for i in range(rows.shape[0]):
         row, differs = rows[i], 0
         for j in range(fixed.shape[0]):
@@ -82,10 +83,11 @@ def read(
             failed += 1
             continue
         stamp[i] = (second if second < _LARGEST else second - 2 * _LARGEST) * _NANOSECONDS + nano
-        found = values[i].view(np.uint8)
+        found, begin = values[i].view(np.uint8), 0
         for j in range(places.size):
-            for byte in range(width):
-                found[j * width + byte] = row[places[j] + byte]
+            for byte in range(8 * widths[j]):
+                found[begin + byte] = row[places[j] + byte]
+            begin += 8 * widths[j]
         if is_big_endian:
             for place in range(0, found.size, 8):
                 found[place : place + 8] = found[place : place + 8][::-1].copy()

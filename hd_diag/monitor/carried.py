@@ -14,7 +14,7 @@ from hd_diag.monitor.all_joints import Monitor
 from hd_diag.monitor.joint import Joint
 from hd_diag.streams.rules import Reason
 
-_COUNTERS = ("inputs", "first", "waiting", "samples", "rejected", "unpaired", "clock_jumps")
+_COUNTERS = ("inputs", "first", "waiting", "samples", "rejected", "unpaired", "clock_jumps", "unstamped")
 
 
 def carried(monitor: Monitor) -> dict[str, Any]:

@@ -128,6 +128,7 @@ def status(
         "samples_missed": str(joint.lost.count),
         "outputs_unpaired": str(state["unpaired"]),
         "clock_jumps": str(state["clock_jumps"]),
+        "stamps_zero": str(state["unstamped"]),
         "messages_without_joint": str(streams.foreign),
         "silence_s": silence,
         **{name: facts.get(name, usual) for name, usual in _SURROUNDINGS.items()},

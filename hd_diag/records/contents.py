@@ -56,7 +56,8 @@ _COUNTS, _MANY_COUNTS = "counts/?", 1000.0  # whole numbers over so many are no 
 class NumericField:
     """A number in the messages of a topic: kind (one of `_KINDS` or empty), guessed unit, time [s], values.
 
-    Its tag is the index or name by which it is found in an array, the same for all numbers of a joint.
+    Its tag is the index or name by which it is found in an array, the same for all numbers of a joint. Where
+    its stamps stay the same, it is by the time of reception.
     """
 
     topic: Topic
@@ -66,6 +67,7 @@ class NumericField:
     unit: str
     time: Floats = dataclasses.field(repr=False)
     values: Floats = dataclasses.field(repr=False)
+    by_reception: bool = False
 
     @property
     def moves(self) -> bool:
@@ -116,25 +118,37 @@ def contents(reader: BagReader, topic: Topic) -> Contents:
         return Contents([], "", {})
     signals = {f: Signal(topic.name, topic.type_name, f, "", Unit(1.0)) for f in fields}
     source = FieldReader(reader.given_types(topic), topic.type_name, signals)
-    found: dict[str, list[tuple[Any, Floats]]] = {f: [] for f in fields}
+    found: dict[str, list[tuple[Times, Times, Floats]]] = {f: [] for f in fields}
     stamps: dict[tuple[str, ...], list[Floats]] = {}
-    seen, refused = 0, list[Rejection]()
+    seen, unstamped, refused = 0, 0, list[Rejection]()
     for batch in _batches(reader, topic):
         rows = slice(0, _MOST_MESSAGES - seen)
         seen += len(batch)
         shapes, rejected = source.columns(batch.payload[rows], batch.log_time[rows])
         refused += rejected
         for states in shapes:
+            unstamped += states.stamp.size * states.unstamped
             joints = tuple(dict.fromkeys(filter(None, map(_tag, states.keys))))
             stamps.setdefault(joints, []).append((states.stamp - reader.start) * 1e-9)
             for i, key in enumerate(states.keys):
                 assert states.signals is not None
-                found[key].append((states.stamp, states.signals[:, i]))
-    problem = (
-        f"{len(refused)} of {seen} messages cannot be read; the last {refused[-1].reason}" if refused else ""
-    )
+                logged = batch.log_time[rows][states.row]
+                found[key].append((states.stamp, logged, states.signals[:, i]))
     every = [_number(topic, f, fields[f], parts, reader.start) for f, parts in found.items() if parts]
+    problem = _problem(seen, unstamped, refused, every)
     return Contents(every, problem, {joints: np.concatenate(parts) for joints, parts in stamps.items()})
+
+
+def _problem(seen: int, unstamped: int, refused: list[Rejection], every: list[NumericField]) -> str:
+    """What cannot be read of so many messages, and what is wrong with their stamps."""
+    said = []
+    if refused:
+        said.append(f"{len(refused)} of {seen} messages cannot be read; the last {refused[-1].reason}")
+    if unstamped:
+        said.append(f"the stamps of {unstamped} of {seen} messages are zero: the time of reception is taken")
+    if any(number.by_reception for number in every):
+        said.append("all stamps are the same: `stamp: reception` takes the time of reception")
+    return "; ".join(said)
 
 
 def _batches(reader: BagReader, topic: Topic) -> Iterator[Any]:
@@ -229,13 +243,17 @@ def _labels(store: Typestore, element: Any, value: Any, texts: list[list[str]]) 
     return [str(i) for i in range(len(value))]
 
 
-def _number(topic: Topic, path: str, dtype: str, parts: list[tuple[Any, Floats]], start: int) -> NumericField:
-    stamp, values = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    stamp = _rising(stamp)
+def _number(
+    topic: Topic, path: str, dtype: str, parts: list[tuple[Times, Times, Floats]], start: int
+) -> NumericField:
+    stamp, logged, values = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    by_reception = stamp.size > 1 and not np.ptp(stamp)
+    stamp = _rising(logged if by_reception else stamp)
     order = np.argsort(stamp, kind="stable")
     time = np.asarray((stamp[order] - start) * 1e-9, np.float64)
     words = re.sub(r"\[[^\]]+\]", "", path, count=1)
-    return field_of(topic, path, _tag(path), words, dtype, time, values[order])
+    found = field_of(topic, path, _tag(path), words, dtype, time, values[order])
+    return dataclasses.replace(found, by_reception=by_reception)
 
 
 def field_of(

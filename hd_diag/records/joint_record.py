@@ -210,7 +210,7 @@ def _read(path: str | Path, joint: JointConfig, wanted: Callable[[Aligned], Any]
     seen = streams.joints[0]
     unpaired = int(seen["unpaired"] + seen["waiting"])  # no input came for those that still wait
     counts = int(seen["rejected"]), streams.last_rejection(0), unpaired, int(seen["clock_jumps"])
-    reported = Stamps(*counts, tuple(reader.problems))
+    reported = Stamps(*counts, tuple(reader.problems), int(seen["unstamped"]))
     return [stamp, stretch, given, own, torque, speed, warm], reported
 
 

@@ -43,7 +43,8 @@ class Replay:
 
     `reproduced`: the bag is the node's own log and its events were followed, not a given configuration.
     Messages read and written; time from the first to the last of the bag [s]. By joint: samples that could
-    not be used and why the last of them, samples that are missing by the stamps. `problems`: what is wrong
+    not be used and why the last of them, that are missing by the stamps, whose stamps are zero.
+    `problems`: what is wrong
     with the bag, joints without a map, software of other versions than the log's. `joints` had samples;
     `absent` had none, with what the bag has instead.
     """
@@ -54,6 +55,7 @@ class Replay:
     duration: float
     rejected: dict[str, int]
     missed: dict[str, int]
+    stamps_zero: dict[str, int]
     last_rejection: dict[str, str]
     problems: list[str]
     joints: tuple[str, ...]
@@ -170,6 +172,7 @@ class _Run:
             duration=self._reader.duration,
             rejected={name: joint.rejected for name, joint in joints.items()},
             missed={name: joint.lost.count for name, joint in joints.items()},
+            stamps_zero={name: int(joint.state["unstamped"]) for name, joint in joints.items()},
             last_rejection={name: joint.last_rejection for name, joint in joints.items()},
             problems=[*self._reader.problems, *self._problems],
             joints=tuple(name for name, joint in joints.items() if joint.samples),

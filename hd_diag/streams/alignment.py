@@ -1,5 +1,7 @@
 """Messages of joints to aligned samples, live and offline: the rules for clocks, pairs and torques.
 
+* **A stamp of zero is none.** The time of reception stands for it, which is counted; a mapping may want that
+  for all (``stamp: reception``). From such a stamp back to one of the header is no clock set back.
 * **Stamps rise.** A stamp that repeats the last, or is at most `CLOCK_JUMP` before it, is late: refused. One
   further back is of a clock that was set back: the joint's stream begins anew (a new `stretch`), and nothing
   of before is used with what comes after.
@@ -29,7 +31,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hd_diag.arrays import Bytes, Floats, Integers, Times
-from hd_diag.streams.columns import LARGEST_ANGLE, LARGEST_TORQUE, JointStates
+from hd_diag.streams.columns import BLOCKS, LARGEST_ANGLE, LARGEST_TORQUE, JointStates
 from hd_diag.streams.rules import (
     INPUT,
     JOINT,
@@ -98,11 +100,15 @@ class Aligned(NamedTuple):
 
 
 class _Columns(NamedTuple):
-    """Where values of k joints are in messages of one layout, (4 k,), what is given (1, k), if anything."""
+    """Where values of k joints are in messages of one layout, (4 k,), what is given (1, k), if anything.
+
+    `problem` says why the messages are refused for joints whose positions they do not tell.
+    """
 
     place: Integers
     given: Bytes
     is_foreign: bool
+    problem: str = ""
 
 
 class Alignment:
@@ -151,13 +157,14 @@ class Alignment:
         The rows of the messages of each layout are positions in `heard`, as are those of messages that cannot
         be read (row, reason): they count as rejected for every joint.
         """
-        stamp, values, given = self._rows(heard.size, shapes)
+        stamp, values, given, problems = self._rows(heard.size, shapes)
         if refused:
             given[[row for row, _ in refused]] = Given.REFUSED
+            problems |= dict(refused)
         whole, found = kernel().align(stamp, heard, values, given, *self.state)
-        if refused:
+        if problems:
             for number in np.flatnonzero(self.joints["reason"] == Reason.UNREADABLE):
-                self.texts[number] = f"a message {dict(refused)[self.joints['reason_late'][number]]}"
+                self.texts[number] = f"a message {problems[int(self.joints['reason_late'][number])]}"
                 self.joints["reason"][number] = Reason.OTHER
         return Aligned(*whole, *found)
 
@@ -197,20 +204,24 @@ class Alignment:
                 return _late(names.output_joint, late)
         return self.texts[number]
 
-    def _rows(self, count: int, shapes: Sequence[JointStates]) -> tuple[Times, Floats, Bytes]:
-        """Stamps (n,), values (n, k, 4) and what is given (n, k)."""
+    def _rows(self, count: int, shapes: Sequence[JointStates]) -> tuple[Times, Floats, Bytes, dict[int, str]]:
+        """Stamps (n,), values (n, k, 4), what is given (n, k), and what is wrong with rows."""
+        problems: dict[int, str] = {}
         if len(shapes) == 1 and shapes[0].stamp.size == count:
             states = shapes[0]
             columns = self._columns_of(states)
             given = columns.given if count == 1 else np.repeat(columns.given, count, axis=0)
-            return states.stamp, self._values(states, columns), given
+            problems = dict.fromkeys(range(count), columns.problem) if columns.problem else {}
+            return states.stamp, self._values(states, columns), given, problems
         stamp, given = np.zeros(count, np.int64), np.zeros((count, self.joints.size), np.uint8)
         values = np.zeros((count, self.joints.size, 4))
         for states in shapes:
             columns = self._columns_of(states)
             stamp[states.row], given[states.row] = states.stamp, columns.given
             values[states.row] = self._values(states, columns)
-        return stamp, values, given
+            if columns.problem:
+                problems |= dict.fromkeys(states.row.tolist(), columns.problem)
+        return stamp, values, given, problems
 
     def _values(self, states: JointStates, columns: _Columns) -> Floats:
         blocks = [block for block in states.blocks if block is not None]
@@ -218,7 +229,8 @@ class Alignment:
         return joined.take(columns.place, axis=1).reshape(-1, self.joints.size, 4)
 
     def _columns_of(self, states: JointStates) -> _Columns:
-        key = states.names, states.keys, *(block is None for block in states.blocks)
+        widths = (None if block is None else block.shape[1] for block in states.blocks)
+        key = states.names, states.keys, states.unstamped, *widths
         found = self._columns.get(key)
         if found is None:
             if len(self._columns) >= _LAYOUTS:
@@ -235,9 +247,11 @@ class Alignment:
         columns = {name: column for column, name in enumerate(states.names)}
         signals = {name: column for column, name in enumerate(states.keys)}
         begins, width = [], 1
-        for block in states.blocks:
-            begins.append(None if block is None else width)
+        for number, block in enumerate(states.blocks):
+            is_told = block is not None and (number == len(BLOCKS) or not states.misfit(number))
+            begins.append(width if is_told else None)
             width += 0 if block is None else block.shape[1]
+        problem = states.misfit(0)
         position, velocity, effort, mapped = begins
         place = np.zeros((len(self._names), 4), np.int64)
         given = np.zeros((1, len(self._names)), np.uint8)
@@ -251,9 +265,13 @@ class Alignment:
                 if column is not None and begin is not None:
                     place[number, kind] = begin + column
                     given[0, number] |= 1 << kind
+                elif column is not None and kind < 2 and not key and problem:
+                    given[0, number] |= Given.REFUSED
         if states.keys and not given.any():
             given[:] = Given.OTHER
-        return _Columns(place.reshape(-1), given, not given.any())
+        is_foreign = not given.any()
+        given[given > 0] |= Given.UNSTAMPED * states.unstamped
+        return _Columns(place.reshape(-1), given, is_foreign, problem)
 
 
 def torque_between(stamp: Times, stretch: Integers, torque: Floats, torque_stamp: Times) -> Floats:
@@ -292,5 +310,6 @@ def _bad_value(what: str, value: float, largest: float, unit: str) -> str:
 
 
 def _late(name: str, late: int) -> str:
-    what = f"is {late / 1e9:.6f} s before the last" if late else "repeats the last"
+    same = "repeats the last; where stamps stay the same, `stamp: reception` takes the time of reception"
+    what = f"is {late / 1e9:.6f} s before the last" if late else same
     return f"stamp of {name} {what}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,6 +14,9 @@ LARGEST_ANGLE = 1e10
 LARGEST_TORQUE = 1e6
 """A hundred times what the largest harmonic drives bear [N m]: more is a fault of who reports it."""
 
+BLOCKS = "position", "velocity", "effort"
+"""What joint states hold of each joint."""
+
 LARGEST_TEMPERATURE = 1e4
 """Beyond it, up or down, nothing is measured [degree Celsius]."""
 
@@ -23,8 +26,10 @@ class JointStates(NamedTuple):
 
     Positions of the messages in the batch they come from (n,), time of their headers [ns] (n,), names of the
     joints; position [rad] or [m], velocity [rad/s] or [m/s] and effort [N m] or [N], each (n, k) or None
-    where the messages have none. `signals` (n, m) is what is mapped to joints otherwise than by these names,
-    in SI and degree Celsius, with m `keys` as `hd_diag.streams.signals.key` has them.
+    where the messages have none; one of another width cannot be told by names.
+    `signals` (n, m) is what is mapped to joints otherwise than by these names,
+    in SI and degree Celsius, with m `keys` as `hd_diag.streams.signals.key` has them. `unstamped` are
+    messages whose headers have a stamp of zero.
     """
 
     row: Times
@@ -36,6 +41,7 @@ class JointStates(NamedTuple):
     effort: Floats | None
     signals: Floats | None = None
     keys: tuple[str, ...] = ()
+    unstamped: bool = False
 
     @property
     def blocks(self) -> tuple[Floats | None, ...]:
@@ -47,4 +53,27 @@ class JointStates(NamedTuple):
         rows = slice(*np.searchsorted(self.row, (low, high)).tolist())
         values = [None if column is None else column[rows] for column in self.blocks]
         head = self.row[rows] - low, self.stamp[rows], self.names, self.frame_id
-        return JointStates(*head, values[0], values[1], values[2], values[3], self.keys)
+        return JointStates(*head, values[0], values[1], values[2], values[3], self.keys, self.unstamped)
+
+    def misfit(self, number: int) -> str:
+        """What is wrong with one of `BLOCKS` whose values are not those of the names; empty for others."""
+        block, count = self.blocks[number], len(self.names)
+        if block is None or block.shape[1] == count:
+            return ""
+        return f"has {block.shape[1]} values of {BLOCKS[number]} for {count} names"
+
+    def stamped(self, received: Times, always: bool) -> list[JointStates]:
+        """The messages with their batch's times of reception [ns] for stamps of zero, or always."""
+        if always:
+            return [self._replace(stamp=received[self.row])]
+        missing = self.stamp == 0
+        if not missing.any():
+            return [self]
+        found = []
+        for rows, is_missing in ((~missing, False), (missing, True)):
+            if rows.any():
+                values = (None if column is None else column[rows] for column in self.blocks)
+                stamp = received[self.row[rows]] if is_missing else self.stamp[rows]
+                changed: Any = dict(zip((*BLOCKS, "signals"), values, strict=True))
+                found.append(self._replace(row=self.row[rows], stamp=stamp, unstamped=is_missing, **changed))
+        return found

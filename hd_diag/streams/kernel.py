@@ -19,6 +19,7 @@ from hd_diag.streams.rules import CLOCK_JUMP, DRIFT_TIME, LONGEST_HOLD, NEVER, P
 
 _INPUT, _OUTPUT, _TORQUE, _SPEED = int(Given.INPUT), int(Given.OUTPUT), int(Given.TORQUE), int(Given.SPEED)
 _REFUSED, _OTHER, _UNREADABLE = int(Given.REFUSED), int(Given.OTHER), int(Reason.UNREADABLE)
+_UNSTAMPED = int(Given.UNSTAMPED)
 _NAMELESS, _BAD_INPUT, _BAD_OUTPUT = int(Reason.NAMELESS), int(Reason.INPUT), int(Reason.OUTPUT)
 _BAD_TORQUE, _LATE_INPUT, _LATE_OUTPUT = int(Reason.TORQUE), int(Reason.LATE_INPUT), int(Reason.LATE_OUTPUT)
 _FIRST, _LAST = -(2**63), 2**63 - 1  # before and after every stamp [ns]
@@ -97,6 +98,7 @@ def _refuse(joint: Any, reason: int, value: float, late: int) -> int:
 @part
 def _checked(joint: Any, row: int, stamp: int, given: int, value: Floats) -> int:
     """What is given less what cannot be used; 0 where the row is refused."""
+    unstamped, given = int(given & _UNSTAMPED != 0), given & ~_UNSTAMPED
     if given & _REFUSED:
         return _refuse(joint, _UNREADABLE, 0.0, row)
     if given == _OTHER:
@@ -104,8 +106,10 @@ def _checked(joint: Any, row: int, stamp: int, given: int, value: Floats) -> int
     if not given & (_INPUT | _OUTPUT | _TORQUE):
         return _refuse(joint, _NAMELESS, 0.0, 0)
     if stamp < max(joint.input_stamp, joint.output_stamp) - CLOCK_JUMP:
-        joint.clock_jumps += 1
+        joint.clock_jumps += joint.by_reception == unstamped  # else it is another clock
         _begin(joint)
+    joint.by_reception = unstamped
+    joint.unstamped += unstamped
     if given & _TORQUE and not given & _INPUT and math.isnan(value[1]) and not math.isnan(value[2]):
         given &= ~_OUTPUT
     if given & _INPUT:

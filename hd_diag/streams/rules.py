@@ -29,7 +29,8 @@ NEVER = -(2**62)
 class Given(IntFlag):
     """What a row of a joint gives; `NAMED` if the message names the joint, `REFUSED` if it is unreadable.
 
-    `OTHER` is a signal that is not aligned, such as a temperature.
+    `OTHER` is a signal that is not aligned, such as a temperature. `UNSTAMPED` is a row whose stamp was zero:
+    the time of reception stands for it.
     """
 
     INPUT = 1
@@ -39,6 +40,7 @@ class Given(IntFlag):
     NAMED = 16
     REFUSED = 32
     OTHER = 64
+    UNSTAMPED = 128
 
 
 class Reason(IntEnum):
@@ -58,7 +60,8 @@ JOINT = np.dtype(
     [
         *((name, np.int64) for name in ("input_stamp", "output_stamp", "torque_stamp", "heard", "stretch")),
         *((name, np.int64) for name in ("inputs", "first", "waiting", "output_seen")),
-        *((name, np.int64) for name in ("samples", "rejected", "unpaired", "clock_jumps")),
+        *((name, np.int64) for name in ("samples", "rejected", "unpaired", "clock_jumps", "unstamped")),
+        ("by_reception", np.int64),
         *((name, np.int64) for name in ("reason", "reason_late")),
         *((name, np.float64) for name in ("reason_value", "torque", "assumed_torque", "input_factor")),
         *((name, np.float64) for name in ("angle", "load")),
@@ -67,11 +70,12 @@ JOINT = np.dtype(
         *((name, np.float64) for name in ("input_counter", "output_counter")),
     ]
 )
-"""State of one joint: stamps [ns], when an input was last heard [ns], number of its stream, places in rings,
-counters, the last refusal, torque reported and assumed [N m], by which reported inputs are multiplied; input
-angle and torque of the last sample. Where the input is a velocity: whether the output is known, the
-ratio (else 0), output times ratio, how far the integral is off it and how far that drifted [rad], last
-velocity [rad/s]. What 16 bits of counts are of input and output, 0 where they do not count [rad]."""
+"""State of one joint: stamps [ns], when an input was last heard [ns], number of its stream, places in
+rings, counters, whether the last stamp is a time of reception, the last refusal, torque reported and
+assumed [N m], by which reported inputs are multiplied; input angle and torque of the last sample. Where the
+input is a velocity: whether the output is known, the ratio (else 0), output times ratio, how far the
+integral is off it and how far that drifted [rad], last velocity [rad/s]. What 16 bits of counts are of
+input and output, 0 where they do not count [rad]."""
 
 ENCODER = np.dtype(
     [("stretch", np.int64), *((name, np.float64) for name in ("angle", "low", "high", "turns"))]

@@ -103,7 +103,7 @@ class Signal:
 
     Topic, empty for every one with joint states; type of its messages, as ``package/msg/Name``; path of the
     field, as `hd_diag.messages.field_path` has it; index of arrays that have none in the path; unit, with
-    scale and sign in it.
+    scale and sign in it; whether the time of reception is taken for the stamp.
     """
 
     topic: str
@@ -111,6 +111,7 @@ class Signal:
     field: str
     name: str
     unit: Unit
+    by_reception: bool = False
 
 
 class JointSignals(NamedTuple):
