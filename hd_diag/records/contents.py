@@ -49,6 +49,7 @@ _ALIKE, _EVERY = 3, 50  # of one size in a batch: the first ones, and one of so 
 _INTERFACE = re.compile(r"/(position|velocity|effort|torque|current|acceleration|temperature)$")
 _PLACE = re.compile(r"\.[xyzw]$")  # of a point or a quaternion: no joint's
 _DEGREES, _TURN = 360.0, 2.0 * np.pi
+_Part = tuple[Times, Times, Floats]  # stamps, times of reception [ns], values
 _COUNTS, _MANY_COUNTS = "counts/?", 1000.0  # whole numbers over so many are no angle in rad or deg
 
 
@@ -118,7 +119,7 @@ def contents(reader: BagReader, topic: Topic) -> Contents:
         return Contents([], "", {})
     signals = {f: Signal(topic.name, topic.type_name, f, "", Unit(1.0)) for f in fields}
     source = FieldReader(reader.given_types(topic), topic.type_name, signals)
-    found: dict[str, list[tuple[Times, Times, Floats]]] = {f: [] for f in fields}
+    found: dict[str, list[_Part]] = {f: [] for f in fields}
     stamps: dict[tuple[str, ...], list[Floats]] = {}
     seen, unstamped, refused = 0, 0, list[Rejection]()
     for batch in _batches(reader, topic):
@@ -243,9 +244,7 @@ def _labels(store: Typestore, element: Any, value: Any, texts: list[list[str]]) 
     return [str(i) for i in range(len(value))]
 
 
-def _number(
-    topic: Topic, path: str, dtype: str, parts: list[tuple[Times, Times, Floats]], start: int
-) -> NumericField:
+def _number(topic: Topic, path: str, dtype: str, parts: list[_Part], start: int) -> NumericField:
     stamp, logged, values = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     by_reception = stamp.size > 1 and not np.ptp(stamp)
     stamp = _rising(logged if by_reception else stamp)
