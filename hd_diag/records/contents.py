@@ -246,8 +246,7 @@ def _labels(store: Typestore, element: Any, value: Any, texts: list[list[str]]) 
 
 def _number(topic: Topic, path: str, dtype: str, parts: list[_Part], start: int) -> NumericField:
     stamp, logged, values = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    by_reception = stamp.size > 1 and not np.ptp(stamp)
-    stamp = _rising(logged if by_reception else stamp)
+    stamp = _rising(logged if (by_reception := stamp.size > 1 and not np.ptp(stamp)) else stamp)
     order = np.argsort(stamp, kind="stable")
     time = np.asarray((stamp[order] - start) * 1e-9, np.float64)
     words = re.sub(r"\[[^\]]+\]", "", path, count=1)
