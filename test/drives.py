@@ -4,6 +4,7 @@ import dataclasses
 
 from reference import polyline
 
+from hd_diag.model.cams import Ellipse
 from hd_diag.model.geometry import Geometry
 from hd_diag.model.mesh import Mesh
 from hd_diag.model.tooth_profile import DoubleArc
@@ -84,12 +85,13 @@ def double_arc(profile: polyline.Profile) -> DoubleArc:
 
 
 def geometry(drive: polyline.Drive = PAPER, **changes: object) -> Geometry:
-    """The model's geometry of a drive, some of it changed."""
+    """The model's geometry of a drive, some of it changed; semi-axes are the ellipse's."""
+    axes = {name: changes.pop(name) for name in ("semi_major", "semi_minor") if name in changes}
+    drive = dataclasses.replace(drive, **axes)
     own: dict[str, object] = {
         "flexspline_teeth": drive.flexspline_teeth,
         "circular_spline_teeth": drive.circular_spline_teeth,
-        "semi_major": drive.semi_major,
-        "semi_minor": drive.semi_minor,
+        "neutral_curve": Ellipse(drive.semi_major, drive.semi_minor),
         "flexspline_tooth": double_arc(drive.tooth),
         "flexspline_root": drive.tooth_root,
         "flexspline_tip": drive.tooth_tip,

@@ -64,7 +64,7 @@ def assess(config: Config, joint: JointConfig) -> Assessment:
     t1, t2 = (page.t1, page.t2) if page else (own["gear.t1"], own["gear.t2"])
     overlap = own["tolerance.limits.overlap"]
     found = characteristics(drive, t1, t2, overlap)
-    perfect = replace(drive, mesh=replace(drive.mesh, eccentricity=0.0, runout=0.0))
+    perfect = replace(drive, mesh=replace(drive.mesh, eccentricity=0.0, runout=0.0, tilt=0.0))
     torsion = np.zeros((3, 0))
     if page:
         torque = page.torques

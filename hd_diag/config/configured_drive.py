@@ -9,6 +9,7 @@ from typing import Any
 
 from hd_diag.config.parameters import Value, flatten
 from hd_diag.drive import Drive
+from hd_diag.model.cams import CAMS, Cam
 from hd_diag.model.geometry import Geometry
 from hd_diag.model.mesh import Mesh
 from hd_diag.model.tooth_profile import DoubleArc
@@ -16,8 +17,6 @@ from hd_diag.model.transmission_error import Kinematics
 
 # Parameters of a geometry that have other names than its fields.
 _NAMES = {
-    "semi_major": "neutral_curve.semi_major",
-    "semi_minor": "neutral_curve.semi_minor",
     "flexspline_root": "flexspline_tooth.root",
     "flexspline_tip": "flexspline_tooth.tip",
 }
@@ -31,10 +30,11 @@ def drive_from(own: Mapping[str, Any], teeth: bool = True) -> Drive:
     values: dict[str, Any] = {
         name: _flank(own, name) for name in ("flexspline_tooth", "circular_spline_slot")
     }
+    values["neutral_curve"] = _cam(own)
     names = [field.name for field in fields(Geometry) if field.name not in values]
     geometry = Geometry(**values, **{name: own[_NAMES.get(name, name)] for name in names})
-    eccentricity, runout = (_polar(own, name) for name in ("eccentricity", "runout"))
-    mesh = Mesh(geometry, own["tooth_compliance"], eccentricity, runout, own["arc_offset"])
+    eccentricity, runout, tilt = (_polar(own, name) for name in ("eccentricity", "runout", "tilt"))
+    mesh = Mesh(geometry, own["tooth_compliance"], eccentricity, runout, own["arc_offset"], tilt)
     kinematics = Kinematics(own["ratio"], own["output"], own["wave_generator_phase"], teeth)
     beside = ("rated_torque", "cup_compliance", "accuracy")
     return Drive(mesh, kinematics, *(own[name] for name in beside if name in own))
@@ -42,8 +42,16 @@ def drive_from(own: Mapping[str, Any], teeth: bool = True) -> Drive:
 
 def geometry_parameters(geometry: Geometry) -> dict[str, Value]:
     """Parameters of a joint that make a geometry."""
-    every = flatten(asdict(geometry))
+    shape = next(name for name, cam in CAMS.items() if isinstance(geometry.neutral_curve, cam))
+    every = flatten({**asdict(geometry), "neutral_curve.shape": shape})
     return {_NAMES.get(name, name): list(v) if isinstance(v, tuple) else v for name, v in every}
+
+
+def _cam(own: Mapping[str, Any]) -> Cam:
+    cam: Any = CAMS[own["neutral_curve.shape"]]
+    values = [own[f"neutral_curve.{field.name}"] for field in fields(cam)]
+    found: Cam = cam(*(tuple(value) if isinstance(value, list) else value for value in values))
+    return found
 
 
 def _flank(own: Mapping[str, Any], name: str) -> DoubleArc:

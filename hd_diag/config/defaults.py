@@ -7,7 +7,7 @@ come from the page (:mod:`hd_diag.gears`); limits and tolerances go with the dri
 from __future__ import annotations
 
 from collections.abc import Mapping, Set
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import lru_cache
 
 from hd_diag.config.configured_drive import drive_from, geometry_parameters
@@ -18,6 +18,7 @@ from hd_diag.gears import catalogue, page_fit
 from hd_diag.gears.characteristics import MeshOverTurn, slot_phases
 from hd_diag.gears.page import T1_SHARE, T2_SHARE, Page
 from hd_diag.gears.similarity import LEAST_TEETH
+from hd_diag.model.cams import CAMS
 from hd_diag.model.mesh import Mesh
 
 DEFAULTS: Mapping[str, Value] = {p.name: p.default for p in JOINT_PARAMETERS}
@@ -38,6 +39,8 @@ _COMPLIANCE = 1.75e-5
 _ERROR_OF_ECCENTRICITY = 0.19
 _MODEL_SHARE = 0.25
 
+_SECTIONS = 5  # along a face width
+
 
 def joint_values(given: Mapping[str, Value], teeth: bool = True) -> tuple[dict[str, Value], dict[str, Value]]:
     """All parameters of a joint from those given, by their names within it; and those that were given.
@@ -47,7 +50,10 @@ def joint_values(given: Mapping[str, Value], teeth: bool = True) -> tuple[dict[s
     what cannot be.
     """
     page = page_of(given)
+    _check_shape(given)
     values = {**DEFAULTS, **(resolved(page) if page else {})}
+    if given.get("face_width", values["face_width"]):
+        values["sections"] = max(values["sections"], _SECTIONS)
     drive = drive_from({**values, **given}, teeth)
     values |= scaled(drive)
     if page:  # what an assembly may add to the preload that the page's torsion curve asks for
@@ -57,6 +63,14 @@ def joint_values(given: Mapping[str, Value], teeth: bool = True) -> tuple[dict[s
         values[warn] = min(values[warn], {**values, **given}[error])
     kept = {name: value for name, value in given.items() if not page or values[name] != value}
     return {**values, **given}, kept
+
+
+def _check_shape(given: Mapping[str, Value]) -> None:
+    """Refuse numbers of other cams where no shape is given: an ellipse would be taken instead."""
+    own = [f"neutral_curve.{field.name}" for field in fields(CAMS[DEFAULTS["neutral_curve.shape"]])]
+    for name in given if "neutral_curve.shape" not in given else ():
+        if name.startswith("neutral_curve.") and name not in own:
+            raise ValueError(f"{name}: needs neutral_curve.shape, one of {', '.join(CAMS)}")
 
 
 def page_of(given: Mapping[str, Value]) -> Page | None:
@@ -122,7 +136,7 @@ def scaled(drive: Drive) -> dict[str, Value]:
 @lru_cache(maxsize=256)
 def _at_rest(mesh: Mesh) -> Mapping[str, float]:
     """By which teeth and lobes overlap as built, without torque [m], by the limits of these."""
-    perfect = replace(mesh, eccentricity=0.0, runout=0.0)
+    perfect = replace(mesh, eccentricity=0.0, runout=0.0, tilt=0.0)
     teeth = MeshOverTurn(perfect, slot_phases(mesh.geometry))
     overlap, interference = max(teeth.overlap(), 0.0), max(-teeth.least_backlash(), 0.0)
     limits = ("limits.overlap.warn", "limits.overlap.error", "tolerance.limits.overlap")

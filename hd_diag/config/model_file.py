@@ -42,6 +42,8 @@ REFITTED = (
     "eccentricity.direction",
     "runout.magnitude",
     "runout.direction",
+    "tilt.magnitude",
+    "tilt.direction",
 )
 """Parameters of a drive that a fit changes; in all others a joint must be what the model was fitted to."""
 
@@ -67,6 +69,12 @@ _DRIVE = {
     for p in JOINT_PARAMETERS
     if p.name not in _NOT_OF_THE_DRIVE and not p.name.startswith(("gear.", "limits.", "tolerance.", *SIGNALS))
 }
+
+
+_LATER = {name for name in _DRIVE if name.startswith(("face_", "cup_length", "sections", "tilt."))} | {
+    name for name in _DRIVE if name.startswith("neutral_curve.") and "semi_" not in name
+}
+"""Parameters that files of older versions lack: their drives are plane, on ellipses."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +128,7 @@ def _parsed(text: str, catalogue: Catalogue) -> ModelFile:
     if content["schema"] != SCHEMA:
         raise ConfigError(f"schema is {shown(content['schema'])}, not '{SCHEMA}'")
     parameters = _parameters(content["parameters"])
-    base = _base(content["base"], parameters)
+    base = _base(content["base"], parameters, content["parameters"])
     try:
         drive = drive_from(parameters)
     except ValueError as error:
@@ -188,7 +196,7 @@ def write(path: str | Path, content: Mapping[str, Any], catalogue: Catalogue | N
 
 def _refitted(model: ExtendedModel) -> dict[str, Value]:
     mesh = model.drive.mesh
-    sizes = {"eccentricity": mesh.eccentricity, "runout": mesh.runout}
+    sizes = {"eccentricity": mesh.eccentricity, "runout": mesh.runout, "tilt": mesh.tilt}
     return {
         "circular_spline_datum": mesh.geometry.circular_spline_datum,
         "tooth_compliance": mesh.tooth_compliance,
@@ -212,20 +220,22 @@ def _effect(term: Term, spread: Mapping[str, float], alike: Sequence[str]) -> di
 
 def _parameters(given: Mapping[str, Any]) -> dict[str, Value]:
     check_known(list(given), _DRIVE)
-    missing = [name for name in _DRIVE if name not in given]
+    missing = [name for name in _DRIVE if name not in given and name not in _LATER]
     if missing:
         raise ConfigError(f"parameters lack '{missing[0]}'")
-    return {name: checked(name, given[name], parameter) for name, parameter in _DRIVE.items()}
+    return {name: checked(name, given.get(name, known.default), known) for name, known in _DRIVE.items()}
 
 
-def _base(found: Mapping[str, Any], parameters: Mapping[str, Value]) -> dict[str, Value]:
-    """Parameters before the fit: those of the model with what it changed put back."""
+def _base(
+    found: Mapping[str, Any], parameters: Mapping[str, Value], given: Mapping[str, Any]
+) -> dict[str, Value]:
+    """Parameters before the fit: those of the model with what it changed put back; hashed as given."""
     before = found["before_the_fit"]
     for name in before:
         if name not in REFITTED:
             raise ConfigError(f"base.before_the_fit: {shown(name)} is not a parameter that a fit changes")
     base = {**parameters, **{name: checked(name, one, _DRIVE[name]) for name, one in before.items()}}
-    if found["sha256"] != base_hash(base):
+    if found["sha256"] != base_hash({name: value for name, value in base.items() if name in given}):
         raise ConfigError("base.sha256 is not that of the parameters: the file was changed")
     return base
 

@@ -162,7 +162,7 @@ def checked(name: str, value: Any, parameter: Parameter) -> Value:
     """
     default, choices = parameter.default, parameter.choices
     if isinstance(default, list):
-        return joint_names(value) if name == "joints" else _pair(name, value, parameter)
+        return joint_names(value) if name == "joints" else _numbers(name, value, parameter)
     if not isinstance(default, (bool, str)):
         return _number(name, value, parameter)
     if type(value) is not type(default) or (choices and value not in choices):
@@ -184,10 +184,12 @@ def _unit(parameter: Parameter) -> str:
     return f" [{parameter.unit}]" if parameter.unit else ""
 
 
-def _pair(name: str, value: Any, parameter: Parameter) -> list[float]:
-    if not isinstance(value, (list, tuple)) or len(value) != 2:
-        given = len(value) if isinstance(value, (list, tuple)) else shown(value)
-        raise ConfigError(f"{name}: expected two numbers [x, y]{_unit(parameter)}, not {given}")
+def _numbers(name: str, value: Any, parameter: Parameter) -> list[float]:
+    """A pair where its default is one, else any number of them."""
+    is_pair, is_list = len(parameter.default) == 2, isinstance(value, (list, tuple))
+    if not is_list or (is_pair and len(value) != 2) or not value:
+        wanted = f"two numbers [x, y]{_unit(parameter)}" if is_pair else "a list of numbers"
+        raise ConfigError(f"{name}: expected {wanted}, not {len(value) if is_list else shown(value)}")
     return [float(_number(name, number, parameter)) for number in value]
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property, lru_cache
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -188,21 +189,24 @@ class ContactTable:
         count, found = self.drive.mesh.geometry.flexspline_teeth, np.zeros((2, tooth.size))
         for angle_row, angle_share in angle_rows:
             first, second = (np.mod(tooth - teeth[:, lobe].take(angle_row), count) for lobe in (0, half))
-            near = np.flatnonzero((first < half) | (second < half))  # at a lobe: elsewhere it does nothing
-            column = np.where(first[near] < half, first[near], half + second[near])
+            near = np.flatnonzero(
+                (first < self._pairs) | (second < self._pairs)
+            )  # at a lobe: elsewhere it does nothing
+            column = np.where(first[near] < self._pairs, first[near], half + second[near])
             angle, share = angle_row[near], angle_share[near]
             for torque_row, torque_share in torque_rows:
                 torque, part = torque_row[near], share * torque_share[near]
-                for flank in (0, 1):
-                    slope = self._slope(torque, angle, flank, column, opening[flank])
+                for flank, at in product((0, 1), range(0, half, self._pairs)):
+                    slope = self._slope(torque, angle, flank, column + at, opening[flank])
                     found[flank, near] += part * slope
         return found
 
     def _one_slot(self, slot: int, opening: Openings) -> Floats:
         angle, pair = np.nonzero(self.contact.slots == slot)
         found = np.zeros((*self.torsion.shape, 2))
-        for flank in (0, 1):  # a slot is at one lobe at a time: no angle comes twice
-            found[:, angle, flank] = self._slope(np.s_[:], angle, flank, pair, opening[flank])
+        for flank in (0, 1):  # a slot is at one lobe at a time, there in every section
+            slope = self._slope(np.s_[:], angle, flank, pair, opening[flank])
+            np.add.at(found[..., flank], np.s_[:, angle], slope)
         return found
 
     def _slope(
@@ -303,6 +307,11 @@ class ContactTable:
     def _torsion(self, rotation: Floats, stiffness: Floats) -> Floats:
         """Of flanks with some closing rotations and stiffnesses [rad], shape (torques, angles)."""
         return torsion_of_flanks(rotation, stiffness, self.torque_nodes).T
+
+    @property
+    def _pairs(self) -> int:
+        """Columns of a lobe in one section."""
+        return int(self.contact.teeth.shape[1]) // (2 * self.drive.mesh.geometry.sections)
 
     @cached_property
     def _stiffness(self) -> Floats:

@@ -98,8 +98,9 @@ class MeshOverTurn:
 
     def __init__(self, mesh: Mesh, angle: Floats) -> None:
         # Whether both lobes are the same, and one stands for both.
-        is_same = not (mesh.eccentricity or mesh.runout or mesh.geometry.flexspline_teeth % 2)
-        self._compliance, self._contact = mesh.tooth_compliance, contacts(mesh, angle, lobes=2 - is_same)
+        is_same = mesh.is_centred and mesh.geometry.flexspline_teeth % 2 == 0
+        self._lobes, self._sections = 2 - is_same, mesh.geometry.sections
+        self._compliance, self._contact = mesh.tooth_compliance, contacts(mesh, angle, lobes=self._lobes)
         self._stiffness = flank_stiffness(self._contact, mesh.tooth_compliance)
         self.torsion = FlankTorsion(self._contact.rotation, (1.0 + is_same) * self._stiffness)
 
@@ -107,7 +108,9 @@ class MeshOverTurn:
         """Largest force on a flank [N]; nan: the torque cannot be borne."""
         beta = self.torsion(np.array([torque]))[:, :, None]
         overlap = np.fmax(FLANKS * beta - self._contact.rotation, 0.0)
-        peak = float((overlap * np.sqrt(self._stiffness / self._compliance)).max())
+        weight = self._contact.weight
+        force = overlap * np.sqrt(self._stiffness * weight / self._compliance)
+        peak = float(force.reshape(*force.shape[:2], self._lobes, self._sections, -1).sum(axis=3).max())
         return peak if torque == 0.0 or np.isfinite(beta).all() else math.nan
 
     def lost_motion(self) -> float:
@@ -192,7 +195,7 @@ def _turn(mesh: Mesh) -> Floats:
 
     Of others by golden section, which meets every phase of the teeth evenly.
     """
-    if not (mesh.eccentricity or mesh.runout):
+    if mesh.is_centred:
         return slot_phases(mesh.geometry)
     share: Floats = 0.6180339887498949 * np.arange(_MOMENTS, dtype=np.float64) % 1.0
     return 2.0 * np.pi * share
@@ -205,7 +208,7 @@ def _order_2(mesh: Mesh, eccentricity: float, torque: float) -> float:
         return math.nan
     coarse, fine = np.arange(_ERROR_MOMENTS), slot_phases(mesh.geometry, _ERROR_PHASES)
     angle = np.add.outer(np.pi / _ERROR_MOMENTS * coarse, fine).ravel()
-    eccentric = replace(mesh, eccentricity=eccentricity, runout=0.0)
+    eccentric = replace(mesh, eccentricity=eccentricity, runout=0.0, tilt=0.0)
     beta = MeshOverTurn(eccentric, angle).torsion(np.array([torque]))[:, 0]
     return float(2.0 * abs(np.mean(beta * np.exp(-2j * angle))))
 
@@ -217,7 +220,7 @@ def _eccentricity_of_overlap(mesh: Mesh, overlap: float) -> float:
     """
 
     def found(eccentricity: float) -> float:
-        across = replace(mesh, eccentricity=0.0, runout=1j * eccentricity)
+        across = replace(mesh, eccentricity=0.0, runout=1j * eccentricity, tilt=0.0)
         return MeshOverTurn(across, slot_phases(mesh.geometry)).overlap()
 
     low, high = 0.0, 0.2 * mesh.geometry.module  # as far as tolerances look

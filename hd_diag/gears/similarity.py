@@ -11,8 +11,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from hd_diag.model.cams import Ellipse
 from hd_diag.model.geometry import Geometry
-from hd_diag.model.neutral_curve import mean_radius
 from hd_diag.model.tooth_profile import DoubleArc
 
 LEAST_TEETH = 60
@@ -54,12 +54,11 @@ def similar(known: Geometry, scale: float, teeth: int) -> Geometry:
     major = radius + k * (known.semi_major - known.curve.radius)
     minor = 2.0 * radius - major
     for _ in range(_STEPS):  # the perimeter hardly differs from that of a circle of the semi-axes' mean
-        minor += 2.0 * (radius - mean_radius(major, minor))
+        minor += 2.0 * (radius - Ellipse(major, minor).support()[0])
     return Geometry(
         teeth,
         teeth + known.circular_spline_teeth - known.flexspline_teeth,
-        round(major, _DIGITS),
-        round(minor, _DIGITS),
+        Ellipse(round(major, _DIGITS), round(minor, _DIGITS)),
         _scaled(known.flexspline_tooth, k),
         round(k * known.flexspline_root, _DIGITS),
         round(k * known.flexspline_tip, _DIGITS),

@@ -24,14 +24,18 @@ _BLOCK = 32  # moments at a time: their numbers stay near the core
 
 @dataclass(frozen=True)
 class Contact:
-    """Where and when the flanks of tooth pairs meet. Arrays of shape (moments, 2, teeth), flanks (+, -).
+    """Where and when the flanks of tooth pairs meet. Arrays of shape (moments, 2, columns), flanks (+, -).
+
+    Columns are teeth: those of a lobe in one section of the width after the other, then those of the other.
 
     Attributes
     ----------
-    teeth : ndarray of int, shape (moments, teeth)
+    teeth : ndarray of int, shape (moments, columns)
         Which tooth of the flexspline each column is.
-    slots : ndarray of int, shape (moments, teeth)
+    slots : ndarray of int, shape (moments, columns)
         The slot that it meets.
+    weight : ndarray, shape (moments, 1, columns)
+        Share of its section in the width [-].
     rotation : ndarray
         b, rotation of the cup that closes the gap, in the flank's own direction [rad]; nan: cannot touch.
     radius : ndarray
@@ -44,6 +48,7 @@ class Contact:
 
     teeth: Integers
     slots: Integers
+    weight: Floats
     rotation: Floats
     radius: Floats
     pressure_angle: Floats
@@ -69,15 +74,21 @@ def _contacts(
     mesh: Mesh, turn: Floats, solve: Callable[[Floats, Floats], Any], lobes: int
 ) -> tuple[Any, ...]:
     """What `Contact` holds. Poses are those of :mod:`hd_diag.model.kernel.poses`, without its shortcuts."""
-    c, farthest = mesh.data.constants, abs(mesh.eccentricity) + abs(mesh.runout)
-    near, turned = reach(mesh.data, farthest), turn[:, None]
+    c, geometry, turned = mesh.data.constants, mesh.geometry, turn[:, None]
+    near = reach(mesh.data, abs(mesh.eccentricity) + abs(mesh.runout))
     columns, start = width(c, near), mesh.arc_offset / c.curve_radius - turned * c.turn_ratio
     first = np.ceil((np.pi * np.arange(lobes) - near - start) / c.tooth_pitch)
-    number = np.repeat(first, columns, axis=1) + np.tile(np.arange(columns), lobes)
-    axis, height, offset = tooth_axes(mesh.geometry.curve, start + number * c.tooth_pitch)
-    axis = axis + turned
-    center = mesh.displacement(turned) * np.exp(-1j * axis)
-    height, offset = height + center.real, offset + center.imag
+    number = first[:, :, None] + np.arange(columns)  # of the teeth, by lobes
+    arc, found = start[:, :, None] + number * c.tooth_pitch, []
+    for place, curve in zip(geometry.section_places, geometry.section_curves, strict=True):
+        axis, height, offset = tooth_axes(curve, arc)
+        axis = axis + turned[:, :, None]
+        center = (mesh.displacement(turned) + mesh.tilt * place)[:, :, None] * np.exp(-1j * axis)
+        found.append((number, axis, height + center.real, offset + center.imag))
+    number, axis, height, offset = (
+        np.stack(each, axis=2).reshape(turn.size, -1) for each in zip(*found, strict=True)
+    )
+    weight = np.tile(np.repeat(geometry.section_weights, columns), (turn.size, 1, lobes))
     slot = np.rint((axis + np.arctan(offset / (height + c.pitch_height))) / c.slot_pitch)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         touch = solve(height[:, None], FLANKS * offset[:, None])
@@ -86,6 +97,7 @@ def _contacts(
     return (
         np.mod(number, c.flexspline_teeth).astype(np.int64),
         np.mod(slot[:, 0], c.circular_spline_teeth).astype(np.int64),
+        weight,
         np.arcsin(touch.sine) - FLANKS * (axis[:, None] - slot * c.slot_pitch),
         np.hypot(touch.x, touch.y),
         np.arctan2(push, lever),

@@ -1,4 +1,4 @@
-"""Geometry of a harmonic drive, checked as a whole."""
+"""Geometry of a harmonic drive, checked as a whole, in every section along its width."""
 
 from __future__ import annotations
 
@@ -6,7 +6,11 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 
-from hd_diag.model.neutral_curve import NeutralCurve, neutral_curve
+import numpy as np
+
+from hd_diag.arrays import Floats
+from hd_diag.model.cams import Cam, curve_on
+from hd_diag.model.neutral_curve import NeutralCurve
 from hd_diag.model.tooth_profile import DoubleArc
 
 
@@ -18,8 +22,8 @@ class Geometry:
     ----------
     flexspline_teeth, circular_spline_teeth : int
         Z_R and Z_G.
-    semi_major, semi_minor : float
-        Semi-axes of the neutral curve [m].
+    neutral_curve : Cam
+        What gives the flexspline's neutral layer its shape, in the middle section.
     flexspline_tooth : DoubleArc
         Flank in the tooth frame; x from the neutral layer [m].
     flexspline_root, flexspline_tip : float
@@ -30,6 +34,13 @@ class Geometry:
         r_0, radius from which the slot's x is measured [m].
     circular_spline_tip_radius : float
         Radius at which the slot's wall begins [m].
+    face_width : float
+        b, width of the teeth [m]; 0: the middle section stands for it.
+    cup_length : float
+        L, from the cup's bottom, which stays round, to the middle section [m]; 0: every section is deformed
+        alike, as a ring is.
+    sections : int
+        Number of sections along the width, at Gauss-Legendre points.
 
     Raises
     ------
@@ -39,25 +50,56 @@ class Geometry:
 
     flexspline_teeth: int
     circular_spline_teeth: int
-    semi_major: float
-    semi_minor: float
+    neutral_curve: Cam
     flexspline_tooth: DoubleArc
     flexspline_root: float
     flexspline_tip: float
     circular_spline_slot: DoubleArc
     circular_spline_datum: float
     circular_spline_tip_radius: float
+    face_width: float = 0.0
+    cup_length: float = 0.0
+    sections: int = 1
 
     def __post_init__(self) -> None:
         _check_teeth(self)
+        _check_width(self)
         _check_flank("flexspline_tooth", self.flexspline_tooth, self.flexspline_root, self.flexspline_tip)
         _check_mating(self)
         _check_engagement(self)
 
     @cached_property
     def curve(self) -> NeutralCurve:
-        """Neutral curve of the flexspline."""
-        return neutral_curve(self.semi_major, self.semi_minor)
+        """Neutral curve of the flexspline in the middle section."""
+        return curve_on(self.neutral_curve)
+
+    @cached_property
+    def section_curves(self) -> tuple[NeutralCurve, ...]:
+        """Neutral curve in every section: a cup's generators stay straight, ``w(z) = w(0) (1 + z / L)``."""
+        if not self.cup_length:
+            return (self.curve,) * self.sections
+        factors = 1.0 + self.section_places / self.cup_length
+        return tuple(self.curve if k == 1.0 else self.curve.deformed(k) for k in factors.tolist())
+
+    @cached_property
+    def section_places(self) -> Floats:
+        """Places z of the sections from the middle one, positive towards the open end [m], (sections,)."""
+        return np.asarray(0.5 * self.face_width * np.polynomial.legendre.leggauss(self.sections)[0])
+
+    @cached_property
+    def section_weights(self) -> Floats:
+        """Share of every section in the width [-], shape (sections,)."""
+        return np.asarray(0.5 * np.polynomial.legendre.leggauss(self.sections)[1])
+
+    @property
+    def semi_major(self) -> float:
+        """Where the neutral curve of the middle section meets its long axis, from its centre [m]."""
+        return self.curve.semi_major
+
+    @property
+    def semi_minor(self) -> float:
+        """Where it meets its short axis, from its centre [m]."""
+        return self.curve.semi_minor
 
     @property
     def reduction(self) -> float:
@@ -92,7 +134,24 @@ def _check_teeth(geometry: Geometry) -> None:
         raise ValueError(
             f"circular_spline_teeth ({geometry.circular_spline_teeth}) must exceed flexspline_teeth "
             f"({geometry.flexspline_teeth}, at least 20) by 2 or 4, and both must be even: "
-            "an ellipse has two lobes, and each must find teeth opposite slots"
+            "a wave generator has two lobes, and each must find teeth opposite slots"
+        )
+
+
+def _check_width(geometry: Geometry) -> None:
+    width, length = geometry.face_width, geometry.cup_length
+    if not (0.0 <= width < math.inf and 0.0 <= length < math.inf):
+        raise ValueError(
+            f"face_width ({width:g} m) and cup_length ({length:g} m) must be positive and finite, or 0"
+        )
+    if geometry.sections < 1:
+        raise ValueError(f"sections must be at least 1, not {geometry.sections}")
+    if geometry.sections > 1 and not width:
+        raise ValueError(f"sections: {geometry.sections} sections lie along a width; give face_width [m]")
+    if length and not length > 0.5 * width:
+        raise ValueError(
+            f"cup_length ({length:.6g} m), from the cup's bottom to the middle of the teeth, must exceed "
+            f"half of face_width ({width:.6g} m)"
         )
 
 
@@ -133,30 +192,16 @@ def _check_mating(geometry: Geometry) -> None:
 
 
 def _check_engagement(geometry: Geometry) -> None:
-    curve, slot = geometry.curve, geometry.circular_spline_slot
+    slot = geometry.circular_spline_slot
     tip_radius, datum = geometry.circular_spline_tip_radius, geometry.circular_spline_datum
-    root, tip = geometry.semi_major + geometry.flexspline_root, geometry.semi_major + geometry.flexspline_tip
     if not (math.isfinite(datum) and datum > 0 and math.isfinite(tip_radius)):
         raise ValueError(
             "circular_spline_datum and circular_spline_tip_radius must be positive and finite [m]"
         )
     _check_flank("circular_spline_slot", slot, tip_radius - datum, 0.999 * geometry.slot_end)
-    if root >= tip_radius:
-        raise ValueError(
-            f"the flexspline's root ({root:.6g} m at the long axis) reaches the circular spline's tip radius "
-            f"({tip_radius:.6g} m)"
-        )
-    if tip >= datum + geometry.slot_end:
-        raise ValueError(
-            "the flexspline's tip reaches the end of the circular spline's slot at the long axis"
-        )
-    if tip <= tip_radius:
-        raise ValueError(
-            "the flexspline's teeth do not reach into the circular spline's slots at the long axis"
-        )
-    if geometry.semi_minor + geometry.flexspline_tip >= tip_radius:
-        raise ValueError("the flexspline's teeth do not come free of the circular spline at the short axis")
-    widest = geometry.tooth_pitch * curve.radius / 2.0
+    for place, curve in zip(geometry.section_places.tolist(), geometry.section_curves, strict=True):
+        _check_section(geometry, curve, f" of the section at {place * 1e3:.3g} mm" if place else "")
+    widest = geometry.tooth_pitch * geometry.curve.radius / 2.0
     if geometry.flexspline_tooth.half_width(geometry.flexspline_root) >= widest:
         raise ValueError(
             f"flexspline_tooth: wider than its pitch ({2 * widest:.6g} m) at the root; "
@@ -164,3 +209,25 @@ def _check_engagement(geometry: Geometry) -> None:
         )
     if slot.half_width(tip_radius - datum) >= geometry.slot_pitch * tip_radius / 2.0:
         raise ValueError("circular_spline_slot: wider than its pitch at the tip radius")
+
+
+def _check_section(geometry: Geometry, curve: NeutralCurve, where: str) -> None:
+    tip_radius = geometry.circular_spline_tip_radius
+    root, tip = curve.semi_major + geometry.flexspline_root, curve.semi_major + geometry.flexspline_tip
+    if root >= tip_radius:
+        raise ValueError(
+            f"the flexspline's root ({root:.6g} m at the long axis{where}) reaches the circular spline's tip "
+            f"radius ({tip_radius:.6g} m)"
+        )
+    if tip >= geometry.circular_spline_datum + geometry.slot_end:
+        raise ValueError(
+            f"the flexspline's tip reaches the end of the circular spline's slot at the long axis{where}"
+        )
+    if tip <= tip_radius:
+        raise ValueError(
+            f"the flexspline's teeth do not reach into the circular spline's slots at the long axis{where}"
+        )
+    if curve.semi_minor + geometry.flexspline_tip >= tip_radius:
+        raise ValueError(
+            f"the flexspline's teeth do not come free of the circular spline at the short axis{where}"
+        )

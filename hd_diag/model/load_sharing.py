@@ -34,6 +34,9 @@ class MeshState:
         Normal forces [N].
     pressure_angle : ndarray, shape (moments, 2, Z_R)
         [rad]; nan where the pair cannot touch.
+    section_backlash, section_load : ndarray, shape (moments, sections, 2, Z_R)
+        The same in each section of the width; of these the backlash above is the least, with its pressure
+        angle, and the load the sum.
     torsion : ndarray, shape (moments,)
         Rotation of the cup [rad].
     lost_motion : ndarray, shape (moments,)
@@ -46,6 +49,8 @@ class MeshState:
     backlash: Floats
     load: Floats
     pressure_angle: Floats
+    section_backlash: Floats
+    section_load: Floats
     torsion: Floats
     lost_motion: Floats
     overlap: Floats
@@ -84,20 +89,27 @@ def mesh_state(mesh: Mesh, wave_generator_angle: Floats, torque: Floats) -> Mesh
     is that of :func:`hd_diag.model.torsion.torsion`, to the last bit.
     """
     rows = moments(mesh, wave_generator_angle, torque)
-    count = rows[0].size
-    teeth, whole = np.empty((3, count, 2, mesh.geometry.flexspline_teeth)), np.empty((3, count))
+    count, geometry = rows[0].size, mesh.geometry
+    teeth = np.empty((3, count, geometry.sections, 2, geometry.flexspline_teeth))
+    whole = np.empty((3, count))
     spread(partial(kernel.entry.mesh_state, mesh.data, *rows, teeth, whole), count, MOMENTS)
     (backlash, load, pressure_angle), (beta, gap, radius) = teeth, whole
-    return MeshState(backlash, load, pressure_angle, beta, np.maximum(gap, 0.0), -gap * radius)
+    apart = backlash, load
+    if geometry.sections > 1:
+        least = np.nan_to_num(backlash, nan=np.inf).argmin(axis=1)[:, None]
+        backlash, pressure_angle = (np.take_along_axis(each, least, 1) for each in (backlash, pressure_angle))
+        load = load.sum(axis=1, keepdims=True)
+    whole_teeth = backlash[:, 0], load[:, 0], pressure_angle[:, 0]
+    return MeshState(*whole_teeth, *apart, beta, np.maximum(gap, 0.0), -gap * radius)
 
 
 def flank_stiffness(contact: Contact, tooth_compliance: float) -> Floats:
-    """Torsional stiffness ``k = (r cos alpha)^2 / (K1 + K2)`` of each flank (moments, 2, teeth) [N m/rad].
+    """Torsional stiffness ``k = (r cos alpha)^2 / (K1 + K2)`` of each flank (moments, 2, columns) [N m/rad].
 
-    Zero where the flanks cannot touch.
+    Times its section's share of the width; zero where the flanks cannot touch.
     """
     arm = contact.radius * np.cos(contact.pressure_angle)
-    return np.where(np.isfinite(contact.rotation), arm * arm / tooth_compliance, 0.0)
+    return np.where(np.isfinite(contact.rotation), contact.weight * (arm * arm / tooth_compliance), 0.0)
 
 
 def torsion_of_flanks(rotation: Floats, stiffness: Floats, torque: Floats) -> Floats:

@@ -28,6 +28,9 @@ class Mesh:
         The part that turns with the wave generator, at theta_W = 0 [m].
     arc_offset : float
         s_0, shift of the teeth along the neutral curve [m].
+    tilt : complex
+        gamma e^(i chi), by which the wave generator's axis leans in the direction chi of the housing [rad]:
+        its centre is at E + gamma z e^(i chi) in the section z.
 
     Raises
     ------
@@ -40,6 +43,7 @@ class Mesh:
     eccentricity: complex = 0.0
     runout: complex = 0.0
     arc_offset: float = 0.0
+    tilt: complex = 0.0
 
     def __post_init__(self) -> None:
         if not 0.0 < self.tooth_compliance < math.inf:
@@ -51,14 +55,25 @@ class Mesh:
         _check_displacement(self)
 
     def displacement(self, wave_generator_angle: Floats) -> Complexes:
-        """Where the wave generator's centre is at theta_W [rad]: x + iy in the housing [m]."""
+        """Where its centre is in the middle section at theta_W [rad]: x + iy in the housing [m]."""
         turning: Complexes = np.exp(1j * wave_generator_angle)
         return self.eccentricity + self.runout * turning
+
+    @property
+    def lean(self) -> float:
+        """By how much the tilt displaces the outermost section [m]."""
+        return float(abs(self.tilt) * np.abs(self.geometry.section_places).max())
+
+    @property
+    def is_centred(self) -> bool:
+        """Whether both lobes are alike: nothing displaces the wave generator."""
+        return not (self.eccentricity or self.runout or self.tilt)
 
     @cached_property
     def data(self) -> MeshData:
         """Its numbers as the kernels take them."""
-        return MeshData(*numbers(self.geometry), float(self.tooth_compliance), float(self.arc_offset))
+        own = float(self.tooth_compliance), float(self.arc_offset)
+        return MeshData(*numbers(self.geometry), *own, complex(self.tilt))
 
 
 def contiguous(values: float | Floats) -> Floats:
@@ -79,18 +94,27 @@ def largest_displacement(geometry: Geometry) -> tuple[float, str]:
     """Displacement of the wave generator that is too much [m], and which part then strikes."""
     tip_radius = geometry.circular_spline_tip_radius
     slot_end = geometry.circular_spline_datum + geometry.slot_end
+    long = max(curve.semi_major for curve in geometry.section_curves)
+    short = max(curve.semi_minor for curve in geometry.section_curves)
     return min(
-        (tip_radius - geometry.semi_major - geometry.flexspline_root, "root at the long axis"),
-        (slot_end - geometry.semi_major - geometry.flexspline_tip, "tip at the long axis"),
-        (tip_radius - geometry.semi_minor - geometry.flexspline_tip, "tip at the short axis"),
+        (tip_radius - long - geometry.flexspline_root, "root at the long axis"),
+        (slot_end - long - geometry.flexspline_tip, "tip at the long axis"),
+        (tip_radius - short - geometry.flexspline_tip, "tip at the short axis"),
     )
 
 
 def _check_displacement(mesh: Mesh) -> None:
-    largest, place = largest_displacement(mesh.geometry)
-    eccentricity, runout = abs(mesh.eccentricity), abs(mesh.runout)
-    if not eccentricity + runout < largest:
+    if mesh.tilt and mesh.geometry.sections == 1:
         raise ValueError(
-            f"eccentricity ({eccentricity * 1e6:.6g} µm) and runout ({runout * 1e6:.6g} µm) must add up to "
-            f"less than {largest * 1e6:.6g} µm, at which the flexspline's {place} strikes the circular spline"
+            f"tilt ({abs(mesh.tilt):g} rad) displaces the sections beside the middle one: give face_width "
+            "and sections"
+        )
+    largest, place = largest_displacement(mesh.geometry)
+    eccentricity, runout, lean = abs(mesh.eccentricity), abs(mesh.runout), mesh.lean
+    if not eccentricity + runout + lean < largest:
+        tilt = f" and what the tilt adds at the ends ({lean * 1e6:.6g} µm)" if mesh.tilt else ""
+        raise ValueError(
+            f"eccentricity ({eccentricity * 1e6:.6g} µm) and runout ({runout * 1e6:.6g} µm){tilt} must add "
+            f"up to less than {largest * 1e6:.6g} µm, at which the flexspline's {place} strikes the circular "
+            "spline"
         )

@@ -43,10 +43,10 @@ def torsion_table(mesh: Mesh, wave_generator_angle: Floats, torque: Floats) -> F
 
 
 def torsion_and_gradient(mesh: Mesh, wave_generator_angle: Floats, torque: Floats) -> tuple[Floats, Floats]:
-    """Exact :func:`torsion` (moments,) [rad] and its derivatives (moments, 5), in one pass.
+    """Exact :func:`torsion` (moments,) [rad] and its derivatives (moments, 7), in one pass.
 
-    These are by E_x, E_y in the housing [rad/m], r_0 [rad/m], K1 + K2 [rad N/m] and M [rad/(N m)] (infinite
-    in a true gap).
+    These are by E_x, E_y in the housing [rad/m], r_0 [rad/m], K1 + K2 [rad N/m], M [rad/(N m)] (infinite in a
+    true gap) and the tilt's x and y [-], which are zero where there is one section.
 
     Notes
     -----
@@ -71,16 +71,18 @@ def torsion_along(
     cell = np.minimum(place.astype(np.int64), nodes - 1)
     order = np.argsort(cell.astype(np.int32), kind="stable")
     load, limit = contiguous(torque[order]), float(np.max(np.abs(torque), initial=0.0)) + _BEYOND
-    found = np.empty((place.size, 5))
+    found = np.empty((place.size, 5 if mesh.geometry.sections == 1 else 7))
     found[order] = kernel.entry.torsion_along(
         mesh.data, turn, center, limit, cell[order], (place - cell)[order], load
     )
-    return found[:, 4], _with_compliance(mesh, torque, found[:, :4])
+    return found[:, -1], _with_compliance(mesh, torque, found[:, :-1])
 
 
 def _with_compliance(mesh: Mesh, torque: Floats, gradient: Floats) -> Floats:
-    """Derivatives by E_x, E_y, r_0, M with that by K1 + K2 before the last."""
-    by_torque = gradient[:, 3]
+    """Derivatives by E_x, E_y, r_0, K1 + K2, M, tilt from those by E_x, E_y, r_0, tilt where there is, M."""
+    by_torque, tilt = gradient[:, -1], np.zeros((torque.size, 2))
+    tilt[:, : gradient.shape[1] - 4] = gradient[:, 3:-1]
     with np.errstate(invalid="ignore"):  # in a true gap there is no torque
         by_compliance = torque / mesh.tooth_compliance * by_torque
-    return np.column_stack((gradient[:, :3], np.where(torque == 0.0, 0.0, by_compliance), by_torque))
+    by_compliance = np.where(torque == 0.0, 0.0, by_compliance)
+    return np.column_stack((gradient[:, :3], by_compliance, by_torque, tilt))

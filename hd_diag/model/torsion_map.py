@@ -159,7 +159,7 @@ def _repeats(mesh: Mesh) -> int:
     """
     if mesh.arc_offset:
         return 1
-    if not mesh.eccentricity:
+    if not (mesh.eccentricity or mesh.tilt):
         return mesh.geometry.circular_spline_teeth
     return 1 if mesh.runout else 2
 

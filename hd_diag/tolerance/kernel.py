@@ -20,7 +20,7 @@ from hd_diag.model.kernel.load_sharing import (
     flanks,
     scratch,
 )
-from hd_diag.model.kernel.mesh_data import MeshData, reach
+from hd_diag.model.kernel.mesh_data import MeshData
 from hd_diag.model.kernel.poses import Teeth, place
 
 
@@ -33,17 +33,17 @@ def evaluate(
     ``anchor`` (n,) is the arc offset at which the backlash counts [m], ``slot_angle`` (Z_G,) by how much each
     slot stands counter-clockwise of its place [rad].
     """
-    work, geometry = scratch(mesh.constants), np.empty((turn.size, 3))
-    loads = np.empty((turn.size, torque.size, 4))
+    work, geometry = scratch(mesh), np.empty((turn.size, 3))
+    loads, force = np.empty((turn.size, torque.size, 4)), np.empty((2, mesh.constants.flexspline_teeth))
     for i in range(turn.size):
         found = flanks(mesh, turn[i], center[i], work)
         _turn(found.plus, work.teeth, slot_angle)
         _turn(found.minus, work.teeth, slot_angle)
         found = both(found.plus, found.minus)
         for j in range(torque.size):
-            _load(mesh.compliance, found, torque[j], loads[i, j])
+            _load(mesh.compliance, work.teeth, found, torque[j], force, loads[i, j])
         geometry[i, 0] = found.high - found.low
-        held = MeshData(mesh.constants, mesh.tables, mesh.compliance, anchor[i])
+        held = MeshData(mesh.constants, mesh.tables, mesh.compliance, anchor[i], mesh.tilt)
         geometry[i, 1], geometry[i, 2] = _lobe(held, turn[i], center[i], slot_angle, work)
     return geometry, loads
 
@@ -56,17 +56,25 @@ def _turn(side: Side, teeth: Teeth, slot_angle: Floats) -> None:
 
 
 @part
-def _load(compliance: float, found: Flanks, torque: float, out: Floats) -> None:
-    """Torsion [rad], stiffness [N m/rad], peak force [N], peak over mean force [-] at one torque."""
+def _load(compliance: float, teeth: Teeth, found: Flanks, torque: float, force: Floats, out: Floats) -> None:
+    """Torsion [rad], stiffness [N m/rad], peak force [N], peak over mean force [-] at one torque.
+
+    ``force`` (2, Z_R) is room for those of teeth, which are sums over the sections.
+    """
     beta = balance(found, torque)
-    peak, total, count = 0.0, 0.0, 0
+    force[:] = 0.0
     for flank in range(2):
         side, bears = 1.0 - 2.0 * flank, found.minus if flank else found.plus
         for j in range(bears.start.size):
             overlap = side * (beta - bears.start[j])
             if overlap > 0.0:
-                force = overlap * math.sqrt(bears.gain[j] / compliance)
-                peak, total, count = max(peak, force), total + force, count + 1
+                i = bears.column[j]
+                tooth = int(teeth.number[i]) % force.shape[1]
+                force[flank, tooth] += overlap * math.sqrt(bears.gain[j] * teeth.weight[i] / compliance)
+    peak, total, count = 0.0, 0.0, 0
+    for one in force.flat:
+        if one > 0.0:
+            peak, total, count = max(peak, one), total + one, count + 1
     idle = torque == 0.0 and found.high > found.low
     out[0] = beta
     out[1] = 0.0 if idle else bearing(found, beta)[0]
@@ -80,9 +88,8 @@ def _lobe(
 ) -> tuple[float, float]:
     """Least backlash of the teeth at lobe 0, and mean radius of their contacts [m]."""
     teeth, seen = work.teeth, work.contacts
-    center = eccentricity * complex(math.cos(turn), -math.sin(turn))
     # The first half of the columns is the lobe on the long axis.
-    count = place(mesh, turn, center, reach(mesh, abs(eccentricity)), teeth) // 2
+    count = place(mesh, turn, eccentricity, teeth) // 2
     find(mesh.constants, teeth, count, seen)
     least, total, touching = math.inf, 0.0, 0
     for flank in range(2):

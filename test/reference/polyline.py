@@ -9,7 +9,8 @@ doi 10.1007/978-3-319-78963-7_18). SI units, angles counter-clockwise, origin on
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +49,7 @@ class Drive:
     circular_spline_datum: float = 29.868e-3
     circular_spline_tip_radius: float = 30.7755e-3
     tooth_compliance: float = 1e-6
+    cam: Callable[[Array], tuple[Array, Array]] | None = None  # in place of the ellipse; radius 30 mm
 
 
 DEFAULT = Drive()
@@ -137,13 +139,49 @@ def _arc_table(major: float, minor: float) -> tuple[Array, Array]:
     return t, np.concatenate([[0], np.cumsum(_length(t[:-1], t[1:], major, minor))])
 
 
+def cosine_ring(deformation: float, angle: Array) -> tuple[Array, Array]:
+    """Displacement (radial, along the ring) of ``w0 cos 2 phi`` at angles of a ring that does not stretch."""
+    return deformation * np.cos(2 * angle), -deformation / 2 * np.sin(2 * angle)
+
+
+def four_forces_ring(deformation: float, force: float, angle: Array) -> tuple[Array, Array]:
+    """The same of four forces so far from the long axis [rad], by their series to its rounding error."""
+    n = np.arange(2, 4000, 2)
+    size = np.cos(n * force) / (n**2 - 1.0) ** 2
+    size *= deformation / size.sum()
+    return np.cos(np.outer(angle, n)) @ size, -np.sin(np.outer(angle, n)) @ (size / n)
+
+
+RING_RADIUS = 30e-3
+"""Of the rings that are displaced [m]."""
+
+
+@functools.lru_cache(maxsize=16)
+def _ring(cam: Callable[[Array], tuple[Array, Array]]) -> tuple[Array, Array, Array]:
+    """Arc length, points and normals (x + iy) of a displaced ring, its length kept by a parallel curve."""
+    angle = np.linspace(0, 2 * np.pi, 40_001)
+    radial, along = cam(angle)
+    points = (RING_RADIUS + radial + 1j * along) * np.exp(1j * angle)
+    slope = np.gradient(np.concatenate((points[-3:-1], points, points[1:3])))[2:-2]
+    normals = -1j * slope / np.abs(slope)
+    points = points - (np.abs(np.diff(points)).sum() / (2 * np.pi) - RING_RADIUS) * normals
+    return np.concatenate(([0.0], np.abs(np.diff(points)).cumsum())), points, normals
+
+
 def ring_radius(drive: Drive = DEFAULT) -> float:
     """R_b [m]: the radius of the undeformed neutral circle, of the same length as the curve."""
+    if drive.cam is not None:
+        return RING_RADIUS
     return float(_arc_table(drive.semi_major, drive.semi_minor)[1][-1] / (2 * np.pi))
 
 
 def neutral_point(arc: Array, drive: Drive = DEFAULT) -> tuple[Array, Array]:
     """Points (2, n) [m] and outward unit normals (2, n) at arc lengths from the long axis [m]."""
+    if drive.cam is not None:
+        length, points, normals = _ring(drive.cam)
+        at = np.mod(arc, length[-1])
+        found = np.array([np.interp(at, length, each) for each in (points, normals)])
+        return np.array([found[0].real, found[0].imag]), np.array([found[1].real, found[1].imag])
     major, minor = drive.semi_major, drive.semi_minor
     table_t, table_s = _arc_table(major, minor)
     s = np.mod(arc, table_s[-1])
@@ -245,6 +283,54 @@ def mesh(
             moved = wall[1] + sign * shift[slot[i]] / wall[0]
             out[:, side, i] = _contact((radius[i], sign * angle), (wall[0], moved))
     return Mesh(out[0], out[0] * out[1], out[1], out[2])
+
+
+def sections(
+    wave_generator_angle: float,
+    eccentricity: tuple[float, float],
+    tilt: tuple[float, float],
+    cup_length: float,
+    places: Sequence[float],
+    drive: Drive = DEFAULT,
+) -> list[Mesh]:
+    """Clearance in sections at places [m] from the middle one, positive towards the cup's open end.
+
+    In each the ellipse is deformed as much more as it is further from the cup's bottom (cup length 0: alike),
+    its perimeter kept, and its centre moved by the tilt [rad].
+    """
+    found = []
+    for z in places:
+        factor = 1 + z / cup_length if cup_length else 1.0
+        ring, major = ring_radius(drive), drive.semi_major
+        major = ring + factor * (major - ring)
+        minor = brentq(
+            lambda minor, major=major, ring=ring: (
+                ring_radius(replace(drive, semi_major=major, semi_minor=minor)) - ring
+            ),
+            0.9 * ring,
+            1.1 * ring,
+            xtol=1e-15,
+        )
+        here = replace(drive, semi_major=major, semi_minor=minor)
+        moved = (eccentricity[0] + tilt[0] * z, eccentricity[1] + tilt[1] * z)
+        found.append(mesh(wave_generator_angle, moved, drive=here))
+    return found
+
+
+def shared_torsion(
+    meshes: Sequence[Mesh], weights: Sequence[float], torque: float, drive: Drive = DEFAULT
+) -> float:
+    """Torsion [rad] of sections side by side, each of a share of the width."""
+
+    def excess(beta: float) -> float:
+        held = -torque
+        for m, weight in zip(meshes, weights, strict=True):
+            arm = np.nan_to_num(m.radius * np.cos(m.pressure_angle))
+            moment = (arm * loads(m, beta, drive)).sum(axis=1)
+            held += weight * float(moment[0] - moment[1])
+        return held
+
+    return float(brentq(excess, -0.1, 0.1, xtol=1e-16, rtol=1e-14))
 
 
 def loads(m: Mesh, torsion: float, drive: Drive = DEFAULT) -> Array:

@@ -94,3 +94,71 @@ TURNS = (
 ORDER_2_ARCSEC = {10.0: 24.18, 56.0: 12.55}
 PEAK_TO_PEAK_ARCSEC = {10.0: 50.92, 56.0: 25.19}
 RIPPLE_ARCSEC = {10.0: 0.1, 56.0: 0.2}  # bounds of the peak to peak at e = 0, tooth passing
+
+# Cams ---
+# CALCULATION (support functions by quadrature): harmonics c_k [m] of the neutral curve of radius 30 mm, the
+# ellipse's 29.999959 mm, all with the ellipse's greatest displacement, 0.258441 mm.
+ELLIPSE_RADIUS = 29.999959e-3
+ELLIPSE_HARMONICS = (0.258997587e-3, -5.59009e-7, 2.41309e-9, -1.302e-11)
+DISPLACEMENT = 0.258441e-3
+COSINE_HARMONICS = (0.25842e-3, -1.2520e-6, 1.617e-8)
+FOUR_FORCES_HARMONICS = {  # by the angle of the forces [degrees]
+    25.0: (0.26464e-3, -4.273e-6, -2.574e-6, -7.9e-7),
+    30.0: (0.27326e-3, -1.2496e-5, -3.750e-6, -4.7e-7),
+}
+
+# Sections ---
+# CALCULATION, five sections at Gauss-Legendre points of 11 mm, R_b = 30 mm; semi-axes follow the displacement
+# with the perimeter kept. Wave generator angle 0; eccentricity across the long axis, the tilt with it.
+SECTION_TORQUES = (1.0, 14.0, 56.0, 100.0)  # [N m]
+FACE_WIDTH = 11e-3  # [m]
+
+
+class SectionCase(NamedTuple):
+    """Cup length [m] (0: a ring), eccentricity [m], tilt [rad]; torsions [rad], least backlashes [m].
+
+    Torsions are at `SECTION_TORQUES`; backlashes of + flanks from the bottom's side to the open end;
+    amplitude of order 2 of the wave generator's turn at those torques [arcsec], where given.
+    """
+
+    cup_length: float
+    eccentricity: float
+    tilt: float
+    torsion: tuple[float, ...]
+    backlash: tuple[float, ...]
+    order_2: tuple[float, ...] = ()
+
+
+def _case(length: float, e: float, tilt: float, *values: tuple[float, ...]) -> SectionCase:
+    torsion, backlash, *order_2 = values
+    scaled = [tuple(1e-4 * one for one in torsion), tuple(1e-6 * one for one in backlash)]
+    return SectionCase(length, e, tilt, *scaled, *order_2)
+
+
+SECTION_CASES = (
+    _case(0.0, 0.0, 0.0, (1.1794, 5.5257, 13.986, 21.166), (0.95, 0.95, 0.95, 0.95, 0.95)),
+    _case(
+        *(0.0, 0.0, 1e-3, (0.7532, 5.4711, 13.973, 21.163), (-4.38, -2.22, 0.95, -2.22, -4.38)),
+        (4.66, 0.60, 0.22, 0.15),
+    ),
+    _case(
+        0.0,
+        10e-6,
+        1e-3,
+        (0.3260, 4.7975, 13.809, 21.072),
+        (-4.41, -6.58, -9.75, -12.91, -15.07),
+        (7.31, 7.79, 2.40, 1.64),
+    ),
+    _case(0.04, 0.0, 0.0, (0.9253, 5.4725, 13.941, 21.148), (-4.56, -2.09, 0.95, 3.32, 4.68)),
+    _case(0.04, 10e-6, 0.0, (0.3198, 4.8334, 13.780, 21.057), (-15.80, -13.08, -9.75, -7.15, -5.64)),
+    _case(
+        0.04,
+        10e-6,
+        1e-3,
+        (0.3129, 4.6125, 13.770, 21.051),
+        (-10.21, -9.82, -9.75, -10.24, -10.78),
+        (5.64, 9.12, 2.26, 1.57),
+    ),
+    _case(0.025, 0.0, 0.0, (0.7511, 5.3730, 13.867, 21.108), (-8.53, -4.24, 0.95, 4.53, 6.34)),
+)
+ECCENTRIC_ORDER_2 = (7.38, 6.70, 2.17, 1.50)  # [arcsec], of 10 um without tilt and coning

@@ -241,7 +241,7 @@ def along(
     given = drive.mesh, angle, drive.frame.cup_torque(torque)
     few = angle.size < _NODES_PAY * nodes
     beta, gradient = torsion.torsion_and_gradient(*given) if few else torsion.torsion_along(*given, nodes)
-    by_x, by_y, by_datum, by_compliance, by_torque = gradient.T
+    by_x, by_y, by_datum, by_compliance, by_torque, *_ = gradient.T
     cosine, sine = np.cos(angle), np.sin(angle)
     scale = -drive.frame.torque_sign * units(configured)
     jacobian = np.empty((angle.size, COUNT))

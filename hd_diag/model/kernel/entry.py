@@ -23,11 +23,12 @@ from hd_diag.model.kernel.load_sharing import (
     curve,
     flanks,
     given_side,
+    most_columns,
     scratch,
     side_room,
 )
 from hd_diag.model.kernel.mesh_data import Constants, MeshData, blank
-from hd_diag.model.kernel.sensitivity import PARAMETERS, add, fill, fill_pieces, pieces_room
+from hd_diag.model.kernel.sensitivity import add, fill, fill_pieces, parameters, pieces_room, to_housing
 
 
 @entry_point
@@ -35,7 +36,7 @@ def torsion(
     mesh: MeshData, turn: Floats, eccentricity: Complexes, torque: Floats, beta: Floats, first: int, last: int
 ) -> None:
     """Torsion (n,) at one torque per moment."""
-    work = scratch(mesh.constants)
+    work = scratch(mesh)
     for i in range(first, last):
         beta[i] = balance(flanks(mesh, turn[i], eccentricity[i], work), torque[i])
 
@@ -43,7 +44,7 @@ def torsion(
 @entry_point
 def torsion_table(mesh: MeshData, turn: Floats, eccentricity: Complexes, torque: Floats) -> Floats:
     """Torsions (n, q) at rising torques (q,), the same at every moment."""
-    work, beta = scratch(mesh.constants), np.empty((turn.size, torque.size))
+    work, beta = scratch(mesh), np.empty((turn.size, torque.size))
     for i in range(turn.size):
         balance_all(flanks(mesh, turn[i], eccentricity[i], work), torque, beta[i])
     return beta
@@ -74,7 +75,7 @@ def touches(c: Constants, height: Floats, offset: Floats) -> Floats:
 @entry_point
 def curves(mesh: MeshData, turn: Floats, eccentricity: Complexes, limit: float) -> tuple[Floats, Floats]:
     """Breakpoints within a torque limit: torques and torsions (n, breakpoints)."""
-    work, columns, used = scratch(mesh.constants), 2 * mesh.constants.flexspline_teeth + 4, 0
+    work, columns, used = scratch(mesh), 2 * most_columns(mesh) + 4, 0
     torque, beta = np.empty((turn.size, columns)), np.empty((turn.size, columns))
     for i in range(turn.size):
         used = max(used, curve(flanks(mesh, turn[i], eccentricity[i], work), limit, torque[i], beta[i]))
@@ -85,17 +86,17 @@ def curves(mesh: MeshData, turn: Floats, eccentricity: Complexes, limit: float) 
 def torsion_and_gradient(
     mesh: MeshData, turn: Floats, eccentricity: Complexes, torque: Floats
 ) -> tuple[Floats, Floats]:
-    """Torsion (n,) and its derivatives by E_x, E_y, r_0, M (n, 4)."""
-    work, n = scratch(mesh.constants), turn.size
-    beta, gradient = np.empty(n), np.empty((n, PARAMETERS + 1))
+    """Torsion (n,); its derivatives by E_x, E_y, r_0, with sections tilt's x and y, by M (n, 4 or 6)."""
+    work, n = scratch(mesh), turn.size
+    count = parameters(mesh)
+    beta, gradient = np.empty(n), np.empty((n, count + 1))
     for i in range(n):
         # Contacts do not depend on the torque: at many of them they are solved once.
         if i == 0 or turn[i] != turn[i - 1] or eccentricity[i] != eccentricity[i - 1]:
             found = flanks(mesh, turn[i], eccentricity[i], work)
         beta[i] = balance(found, torque[i])
         fill(work, mesh.compliance, found, torque[i], beta[i], gradient[i])
-        housing = complex(gradient[i, 0], gradient[i, 1]) * complex(math.cos(turn[i]), math.sin(turn[i]))
-        gradient[i, 0], gradient[i, 1] = housing.real, housing.imag
+        to_housing(gradient[i], count, complex(math.cos(turn[i]), math.sin(turn[i])))
     return beta, gradient
 
 
@@ -109,9 +110,9 @@ def torsion_along(
     share: Floats,
     torque: Floats,
 ) -> Floats:
-    """Derivatives by E_x, E_y, r_0, M and torsion (n, 5) at places between angles, in rising cells."""
-    work, room = scratch(mesh.constants), pieces_room(mesh.constants.flexspline_teeth)
-    result, here = np.zeros((cell.size, PARAMETERS + 2)), np.empty(PARAMETERS + 2)
+    """As of `torsion_and_gradient`, torsion last (n, 5 or 7), at places between angles, in rising cells."""
+    work, room, count = scratch(mesh), pieces_room(mesh), parameters(mesh)
+    result, here = np.zeros((cell.size, count + 2)), np.empty(count + 2)
     before = now = 0
     for node in range(turn.size):
         after = now
@@ -125,8 +126,7 @@ def torsion_along(
                 here[:] = 0.0 if size else math.nan
                 if size:
                     add(room, size, torque[i], share[i] if i < now else 1.0 - share[i], here)
-                housing = complex(here[0], here[1]) * turned
-                here[0], here[1] = housing.real, housing.imag
+                to_housing(here, count, turned)
                 for k in range(here.size):
                     result[i, k] += here[k]
         before, now = now, after
@@ -144,8 +144,8 @@ def mesh_state(
     first: int,
     last: int,
 ) -> None:
-    """Backlash, load, pressure angle (3, n, 2, Z_R); torsion, gap, mean radius of the contacts (3, n)."""
-    work = scratch(mesh.constants)
+    """Backlash, load, pressure angle (3, n, sections, 2, Z_R); torsion, gap, mean contact radius (3, n)."""
+    work = scratch(mesh)
     for i in range(first, last):
         found, seen, total = flanks(mesh, turn[i], eccentricity[i], work), work.contacts, 0.0
         beta, backlash, load, pressure = balance(found, torque[i]), teeth[0, i], teeth[1, i], teeth[2, i]
@@ -156,10 +156,11 @@ def mesh_state(
                 j, rotation = bears.column[k], side * bears.start[k]
                 radius, push, lever = arms(seen, flank, j)
                 tooth = int(work.teeth.number[j]) % mesh.constants.flexspline_teeth
-                overlap = side * beta - rotation
-                backlash[flank, tooth] = radius * rotation
-                load[flank, tooth] = overlap * lever / mesh.compliance if overlap > 0.0 else 0.0
-                pressure[flank, tooth] = math.atan2(push, lever)
+                place, overlap = work.teeth.section[j], side * beta - rotation
+                force = overlap * lever * work.teeth.weight[j] / mesh.compliance
+                backlash[place, flank, tooth] = radius * rotation
+                load[place, flank, tooth] = force if overlap > 0.0 else 0.0
+                pressure[place, flank, tooth] = math.atan2(push, lever)
                 total += radius
         touching = found.plus.start.size + found.minus.start.size
         whole[0, i], whole[1, i] = beta, found.high - found.low
@@ -173,7 +174,7 @@ def warm_up(gradient: bool) -> None:
     torsion(mesh, row, center, row, row, 0, 0)
     torsion_table(mesh, row, center, row)
     curves(mesh, row, center, 0.0)
-    mesh_state(mesh, row, center, row, np.empty((3, 0, 2, 0)), np.empty((3, 0)), 0, 0)
+    mesh_state(mesh, row, center, row, np.empty((3, 0, 1, 2, 0)), np.empty((3, 0)), 0, 0)
     table, lines = rows.astype(np.int16), rows.astype(np.float32)
     interpolate(table, table, lines, columns(table), 1, 0.0, 0.0, row, row, row, 0, 0)
     if gradient:

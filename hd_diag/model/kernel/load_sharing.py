@@ -1,9 +1,10 @@
 """One torsion for all teeth, solved exactly.
 
 A torsion beta asks for the torque ``sum k+ (beta - b+)_+ - sum k- (-beta - b-)_+`` with ``k = (r cos alpha)^2
-/ (K1 + K2)`` of each flank: Dong et al. (2019), eq. (8), in the form that agrees with "loaded where the
-torsion exceeds the backlash". It rises and is linear between the torsions at which flanks begin to bear, so
-its inverse is found from piece to piece, exactly, for one torque or in one walk for many.
+/ (K1 + K2)`` of each flank, times its section's share of the width: Dong et al. (2019), eq. (8), in the form
+that agrees with "loaded where the torsion exceeds the backlash". It rises and is linear between the torsions
+at which flanks begin to bear, so its inverse is found from piece to piece, exactly, for one torque or in one
+walk for many.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 from hd_diag.arrays import Floats, Integers
 from hd_diag.model.kernel.compiler import inline, part
 from hd_diag.model.kernel.contact import Touch, close
-from hd_diag.model.kernel.mesh_data import Constants, MeshData, reach
+from hd_diag.model.kernel.mesh_data import Constants, MeshData
 from hd_diag.model.kernel.poses import Teeth, place, room
 
 # A torsion is found when an iteration moves it by less than this share of itself [-], or of this one [rad].
@@ -54,10 +55,16 @@ class Scratch(NamedTuple):
 
 
 @part
-def scratch(c: Constants) -> Scratch:
-    """Room for as many flanks as there are teeth."""
-    n = c.flexspline_teeth
-    return Scratch(room(c), contacts_room(c), side_room(n), side_room(n))
+def most_columns(mesh: MeshData) -> int:
+    """As many as there are teeth, in every section."""
+    return mesh.constants.flexspline_teeth * mesh.tables.section_place.size
+
+
+@part
+def scratch(mesh: MeshData) -> Scratch:
+    """Room for all columns."""
+    n = most_columns(mesh)
+    return Scratch(room(n), contacts_room(n), side_room(n), side_room(n))
 
 
 @part
@@ -67,9 +74,9 @@ def side_room(count: int) -> Side:
 
 
 @part
-def contacts_room(c: Constants) -> Touch:
-    """First contacts of both flanks of all teeth, each (2, teeth), not yet found."""
-    shape = (2, c.flexspline_teeth)
+def contacts_room(columns: int) -> Touch:
+    """First contacts of both flanks of all columns, each (2, columns), not yet found."""
+    shape = (2, columns)
     return Touch(
         np.empty(shape),
         np.empty(shape),
@@ -124,8 +131,7 @@ def flanks(mesh: MeshData, turn: float, eccentricity: complex, work: Scratch) ->
     """Solve the contacts of one moment, which stay in the scratch; none where a number is not finite."""
     count = 0
     if math.isfinite(turn) and math.isfinite(eccentricity.real) and math.isfinite(eccentricity.imag):
-        center = eccentricity * complex(math.cos(turn), -math.sin(turn))
-        count = place(mesh, turn, center, reach(mesh, abs(eccentricity)), work.teeth)
+        count = place(mesh, turn, eccentricity, work.teeth)
     find(mesh.constants, work.teeth, count, work.contacts)
     plus = _side(mesh, work, count, 0, work.plus)
     return both(plus, _side(mesh, work, count, 1, work.minus))
@@ -138,7 +144,7 @@ def _side(mesh: MeshData, work: Scratch, count: int, flank: int, room: Side) -> 
         _, _, lever = arms(seen, flank, j)
         if not math.isnan(lever):
             room.start[found] = side * closing_angle(seen.sine[flank, j]) - work.teeth.lead[j]
-            room.gain[found] = lever * lever / mesh.compliance
+            room.gain[found] = lever * lever * work.teeth.weight[j] / mesh.compliance
             room.column[found] = j
             found += 1
     return Side(room.start[:found], room.gain[:found], room.column[:found])

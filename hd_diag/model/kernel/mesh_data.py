@@ -52,8 +52,6 @@ class Constants(NamedTuple):
     ``wall_tip_datum`` is the derivative of the angle of the wall's tip by the datum radius [rad/m].
     """
 
-    semi_major: float
-    semi_minor: float
     curve_radius: float
     tooth_pitch: float
     slot_pitch: float
@@ -79,11 +77,14 @@ class Constants(NamedTuple):
 class Tables(NamedTuple):
     """Arrays of a geometry.
 
-    Harmonics of the neutral curve; cosine and sine of whole tooth pitches; angles from a lobe [rad] and how
-    far a tooth's farther tip corner there is from the axis [m].
+    Series of the neutral curve in every section (sections, 3, k); z of the sections [m], their shares of the
+    width [-]; cosine and sine of whole tooth pitches; angles from a lobe [rad] and how far a tooth's farther
+    tip corner there is from the axis, at most in any section [m].
     """
 
-    harmonics: Floats
+    series: Floats
+    section_place: Floats
+    section_weight: Floats
     pitch_cos: Floats
     pitch_sin: Floats
     reach_angle: Floats
@@ -91,19 +92,24 @@ class Tables(NamedTuple):
 
 
 class MeshData(NamedTuple):
-    """A geometry's numbers, tooth compliance K1 + K2 [m/N], arc offset s_0 [m]."""
+    """A geometry's numbers, tooth compliance K1 + K2 [m/N], arc offset s_0 [m], tilt in the housing [rad]."""
 
     constants: Constants
     tables: Tables
     compliance: float
     arc_offset: float
+    tilt: complex
 
 
 @formula
-def reach(mesh: MeshData, eccentricity: float) -> float:
-    """Greatest angle from a lobe at which a tooth's tip can lie beyond the slots' tip radius [rad]."""
+def reach(mesh: MeshData, displacement: float) -> float:
+    """Greatest angle from a lobe at which a tooth's tip can lie beyond the slots' tip radius [rad].
+
+    At a displacement of the middle section, and in any section.
+    """
     radius, k = mesh.tables.reach_radius, 0
-    while k < radius.size - 1 and not radius[k] + eccentricity < mesh.constants.wall_tip:
+    farthest = displacement + abs(mesh.tilt) * mesh.tables.section_place[-1]
+    while k < radius.size - 1 and not radius[k] + farthest < mesh.constants.wall_tip:
         k += 1
     return float(mesh.tables.reach_angle[k])
 
@@ -117,8 +123,8 @@ def width(c: Constants, angle: float) -> int:
 def blank() -> MeshData:
     """Numbers of the right types that no gear has: enough to compile for."""
     arc, line = Arc(*[1.0] * 4), CommonTangent(*[1.0] * 9)
-    constants = Constants._make([*[1.0] * 10, arc, arc, line, arc, arc, line, *[1.0] * 4, 0, 0])
-    return MeshData(constants, Tables(*[np.ones(1)] * 5), 1.0, 0.0)
+    constants = Constants._make([*[1.0] * 8, arc, arc, line, arc, arc, line, *[1.0] * 4, 0, 0])
+    return MeshData(constants, Tables(np.ones((1, 3, 1)), *[np.ones(1)] * 6), 1.0, 0.0, 0j)
 
 
 @lru_cache(maxsize=64)
@@ -134,8 +140,6 @@ def _constants(geometry: Geometry) -> Constants:
     wall_tip = _wall_tip(wall_dedendum, geometry.circular_spline_tip_radius)
     normal_x, normal_y = wall_tip.real - wall_dedendum.x, wall_tip.imag - wall_dedendum.y
     return Constants(
-        semi_major=curve.semi_major,
-        semi_minor=curve.semi_minor,
         curve_radius=curve.radius,
         tooth_pitch=geometry.tooth_pitch,
         slot_pitch=geometry.slot_pitch,
@@ -162,11 +166,16 @@ def _constants(geometry: Geometry) -> Constants:
 def _tables(geometry: Geometry) -> Tables:
     pitches = np.arange(geometry.flexspline_teeth // 2) * geometry.tooth_pitch
     from_lobe = np.linspace(0.0, np.pi / 2, 181)
-    _, height, offset = tooth_axes(geometry.curve, from_lobe)
     half_width = geometry.flexspline_tooth.half_width(geometry.flexspline_tip)
-    farther_corner = np.hypot(height + geometry.flexspline_tip, np.abs(offset) + half_width)
-    harmonics = geometry.curve.harmonics.copy()  # kernels are compiled for arrays that can be written
-    return Tables(harmonics, np.cos(pitches), np.sin(pitches), from_lobe, farther_corner)
+    corners = []
+    for curve in geometry.section_curves:
+        _, height, offset = tooth_axes(curve, from_lobe)
+        corners.append(np.hypot(height + geometry.flexspline_tip, np.abs(offset) + half_width))
+    series = np.zeros((geometry.sections, 3, max(curve.series.shape[1] for curve in geometry.section_curves)))
+    for own, curve in zip(series, geometry.section_curves, strict=True):
+        own[:, : curve.series.shape[1]] = curve.series
+    sections = series, geometry.section_places.copy(), geometry.section_weights.copy()
+    return Tables(*sections, np.cos(pitches), np.sin(pitches), from_lobe, np.max(corners, axis=0))
 
 
 def _arc(center: tuple[float, float], radius: float, datum: float) -> Arc:

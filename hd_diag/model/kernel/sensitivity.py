@@ -16,10 +16,24 @@ import numpy as np
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.model.kernel.compiler import inline, part
-from hd_diag.model.kernel.load_sharing import Flanks, Scratch, Side, arms, balance
+from hd_diag.model.kernel.load_sharing import (
+    Flanks,
+    Scratch,
+    Side,
+    arms,
+    balance,
+    most_columns,
+)
+from hd_diag.model.kernel.mesh_data import MeshData
 
-PARAMETERS = 3
-"""E_x and E_y in the wave generator's frame, r_0; of the others the derivatives follow from dbeta/dM."""
+
+@part
+def parameters(mesh: MeshData) -> int:
+    """Number of the parameters: E_x, E_y in the wave generator's frame, r_0, with sections the tilt's two.
+
+    A tilt is a displacement in proportion to z. Of the others the derivatives follow from dbeta/dM.
+    """
+    return 5 if mesh.tables.section_place.size > 1 else 3
 
 
 @inline
@@ -43,10 +57,24 @@ def _slopes(work: Scratch, flank: int, i: int, weight: float, release: float) ->
 
 
 @inline
-def _add(gradient: Floats, slopes: tuple[float, float, float]) -> None:
-    gradient[0] += slopes[0]
-    gradient[1] += slopes[1]
-    gradient[2] += slopes[2]
+def _add(
+    work: Scratch, i: int, slopes: tuple[float, float, float], sums: Floats, at: int, count: int
+) -> None:
+    """Add what a tooth adds by so many parameters to sums from a place on."""
+    sums[at] += slopes[0]
+    sums[at + 1] += slopes[1]
+    sums[at + 2] += slopes[2]
+    if count > 3:
+        sums[at + 3] += work.teeth.z[i] * slopes[0]
+        sums[at + 4] += work.teeth.z[i] * slopes[1]
+
+
+@inline
+def to_housing(gradient: Floats, count: int, turned: complex) -> None:
+    """Turn derivatives by so many parameters into the housing, given the wave generator's direction there."""
+    for k in range(0, count, 3):  # the displacement, and after r_0 the tilt
+        housing = complex(gradient[k], gradient[k + 1]) * turned
+        gradient[k], gradient[k + 1] = housing.real, housing.imag
 
 
 # At one torque ---
@@ -56,17 +84,17 @@ def _add(gradient: Floats, slopes: tuple[float, float, float]) -> None:
 def fill(
     work: Scratch, compliance: float, flanks: Flanks, torque: float, beta: float, gradient: Floats
 ) -> None:
-    """Set the derivatives of one moment by `PARAMETERS` and by M (4,)."""
+    """Set the derivatives of one moment by the parameters and, last, by M."""
     gradient[:] = 0.0 if math.isfinite(beta) else math.nan
     if torque == 0.0 and flanks.high > flanks.low:
         _add_edge(work, flanks.plus, flanks.high, 0, gradient)
         _add_edge(work, flanks.minus, flanks.low, 1, gradient)
-        gradient[PARAMETERS] = math.inf
+        gradient[-1] = math.inf
     else:
         stiffness = _add_side(work, compliance, flanks.plus, beta, 0, gradient)
         stiffness += _add_side(work, compliance, flanks.minus, beta, 1, gradient)
         gradient /= stiffness
-        gradient[PARAMETERS] = 1.0 / stiffness
+        gradient[-1] = 1.0 / stiffness
 
 
 @part
@@ -78,8 +106,9 @@ def _add_side(
     for j in range(flanks.start.size):
         overlap = (1.0 - 2.0 * flank) * (beta - flanks.start[j])
         if overlap > 0.0:
-            release = 2.0 * overlap / compliance
-            _add(gradient, _slopes(work, flank, flanks.column[j], flanks.gain[j], release))
+            i = flanks.column[j]
+            release = 2.0 * overlap * work.teeth.weight[i] / compliance
+            _add(work, i, _slopes(work, flank, i, flanks.gain[j], release), gradient, 0, gradient.size - 1)
             stiffness += flanks.gain[j]
     return stiffness
 
@@ -89,7 +118,8 @@ def _add_edge(work: Scratch, flanks: Side, edge: float, flank: int, gradient: Fl
     """Add one end of a true gap, whose middle is the torsion."""
     for j in range(flanks.start.size):
         if flanks.start[j] == edge:
-            _add(gradient, _slopes(work, flank, flanks.column[j], 0.5, 0.0))
+            i = flanks.column[j]
+            _add(work, i, _slopes(work, flank, i, 0.5, 0.0), gradient, 0, gradient.size - 1)
             return
 
 
@@ -112,9 +142,9 @@ class Pieces(NamedTuple):
 
 
 @part
-def pieces_room(flexspline_teeth: int) -> Pieces:
-    """Room for as many flanks as there are teeth."""
-    flanks, columns = 2 * flexspline_teeth, 2 + 2 * PARAMETERS
+def pieces_room(mesh: MeshData) -> Pieces:
+    """Room for the flanks of all columns."""
+    flanks, columns = 2 * most_columns(mesh), 2 + 2 * parameters(mesh)
     pieces = flanks + 4
     return Pieces(
         np.empty(pieces),
@@ -157,12 +187,12 @@ def add(room: Pieces, size: int, torque: float, weight: float, found: Floats) ->
 
 @part
 def _add_piece(sums: Floats, torque: float, weight: float, found: Floats) -> None:
-    beta = (torque + sums[1]) / sums[0]
+    beta, count = (torque + sums[1]) / sums[0], found.size - 2
     share = weight / sums[0]
-    for k in range(PARAMETERS):
-        found[k] += share * (sums[2 + k] + beta * sums[2 + PARAMETERS + k])
-    found[PARAMETERS] += share
-    found[PARAMETERS + 1] += weight * beta
+    for k in range(count):
+        found[k] += share * (sums[2 + k] + beta * sums[2 + count + k])
+    found[count] += share
+    found[count + 1] += weight * beta
 
 
 @part
@@ -170,18 +200,21 @@ def _set_flanks(
     work: Scratch, softening: float, flanks: Side, flank: int, farthest: float, first: int, room: Pieces
 ) -> None:
     """Set what a side's flanks have of their own, where they begin before the farthest torsion."""
-    side = 1.0 - 2.0 * flank
+    side, count = 1.0 - 2.0 * flank, (room.flank.shape[1] - 2) // 2
     for j in range(flanks.start.size):
         start, i, own = flanks.start[j], flanks.column[j], room.flank[first + j]
         room.start[first + j] = start
         if side * start > side * farthest:
             continue
-        at_rest = _slopes(work, flank, i, flanks.gain[j], 0.0)
-        released = _slopes(work, flank, i, 0.0, softening)
+        for k in range(own.size):
+            own[k] = 0.0
         own[0], own[1] = flanks.gain[j], flanks.gain[j] * start
-        for k in range(PARAMETERS):
-            own[2 + PARAMETERS + k] = side * released[k]
-            own[2 + k] = at_rest[k] - start * own[2 + PARAMETERS + k]
+        _add(work, i, _slopes(work, flank, i, flanks.gain[j], 0.0), own, 2, count)
+        released = _slopes(work, flank, i, 0.0, softening * work.teeth.weight[i])
+        _add(work, i, released, own, 2 + count, count)
+        for k in range(2, 2 + count):
+            own[count + k] *= side
+            own[k] -= start * own[count + k]
 
 
 @part

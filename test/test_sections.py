@@ -1,0 +1,221 @@
+"""Sections along the width: coning, tilt, and the laws that they keep."""
+
+from dataclasses import replace
+
+import drives
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from reference import polyline, published
+
+from hd_diag.formatting import ARCSEC
+from hd_diag.model.contact import FLANKS, contacts
+from hd_diag.model.load_sharing import flank_stiffness, mesh_state, torsion_of_flanks
+from hd_diag.model.mesh import Mesh
+from hd_diag.model.torsion import torsion, torsion_along, torsion_and_gradient, torsion_table
+from hd_diag.model.torsion_map import TOLERANCE, build
+
+WIDTH = published.FACE_WIDTH
+TORQUES = np.array(published.SECTION_TORQUES)
+
+
+def wide(
+    cup_length: float = 0.0,
+    eccentricity: complex = 0.0,
+    tilt: complex = 0.0,
+    sections: int = 5,
+    **more: complex,
+) -> Mesh:
+    geometry = drives.geometry(face_width=WIDTH, cup_length=cup_length, sections=sections)
+    return Mesh(geometry, 1e-6, eccentricity, tilt=tilt, **more)  # type: ignore[arg-type]
+
+
+ASTRAY = wide(0.04, 4e-6 - 7e-6j, 0.5e-3 + 0.8e-3j, runout=2e-6 + 1e-6j, arc_offset=3e-6)
+
+
+@pytest.mark.parametrize("case", published.SECTION_CASES)
+def test_published_torsion_and_backlash(case: published.SectionCase) -> None:
+    mesh = wide(case.cup_length, 1j * case.eccentricity, 1j * case.tilt)
+    beta = torsion(mesh, np.zeros(4), TORQUES)
+    # The calculation has 0.02 um, 7e-7 rad, and deforms sections to more than the first order.
+    assert_allclose(beta, case.torsion, rtol=0, atol=7e-7)
+    state = mesh_state(mesh, np.zeros(1), 0.0)
+    assert_allclose(np.nanmin(state.section_backlash[0, :, 0], axis=1), case.backlash, atol=0.04e-6)
+
+
+EVERY_ORDER = [(case, case.order_2) for case in published.SECTION_CASES if case.order_2]
+PLANE = published.SectionCase(0.0, 10e-6, 0.0, (), ())
+
+
+@pytest.mark.parametrize(("case", "expected"), [*EVERY_ORDER, (PLANE, published.ECCENTRIC_ORDER_2)])
+def test_published_order_2(case: published.SectionCase, expected: tuple[float, ...]) -> None:
+    mesh = wide(case.cup_length, 1j * case.eccentricity, 1j * case.tilt)
+    turn = np.pi / 512 * np.arange(512)  # of half a turn, after which the error repeats
+    beta = torsion_table(mesh, turn, TORQUES)
+    found = 2 * np.abs((beta * np.exp(-2j * turn)[:, None]).mean(axis=0)) / ARCSEC
+    assert_allclose(found, expected, rtol=0.01, atol=0.01)
+
+
+@pytest.mark.parametrize("cup_length", [0.0, 0.04])
+def test_against_polylines_of_every_section(cup_length: float) -> None:
+    mesh, angle = wide(cup_length, 6e-6 - 4e-6j, 0.4e-3 + 0.7e-3j, sections=3), 0.7
+    places, weights = mesh.geometry.section_places, mesh.geometry.section_weights
+    apart = polyline.sections(angle, (6e-6, -4e-6), (0.4e-3, 0.7e-3), cup_length, places.tolist())
+    state = mesh_state(mesh, np.array([angle]), 14.0)
+    for found, expected in zip(state.section_backlash[0], apart, strict=True):
+        near = np.isfinite(expected.backlash) & (expected.backlash < 20e-6)
+        assert_allclose(found[near], expected.backlash[near], rtol=0, atol=0.05e-6)
+    expected_beta = polyline.shared_torsion(apart, weights.tolist(), 14.0)
+    assert_allclose(state.torsion[0], expected_beta, rtol=2e-4)
+
+
+# Laws ---
+
+
+def test_one_section_is_the_plane_drive_to_the_last_bit() -> None:
+    turn, torque = np.linspace(0, 6, 40), np.linspace(-50, 80, 40)
+    given = {"eccentricity": (3e-6, -8e-6), "runout": (2e-6, 1e-6), "arc_offset": 4e-6}
+    plane = drives.mesh(**given)  # type: ignore[arg-type]
+    geometry = drives.geometry(face_width=WIDTH, cup_length=0.04)
+    one = replace(plane, geometry=geometry)
+    assert_array_equal(torsion(one, turn, torque), torsion(plane, turn, torque))
+    for found, expected in zip(
+        torsion_and_gradient(one, turn, torque), torsion_and_gradient(plane, turn, torque), strict=True
+    ):
+        assert_array_equal(found, expected)
+    found, expected = mesh_state(one, turn, torque), mesh_state(plane, turn, torque)
+    assert_array_equal(found.load, expected.load)
+    assert_array_equal(found.section_load[:, 0], expected.load)
+
+
+def test_sections_of_a_ring_without_tilt_are_all_alike() -> None:
+    turn, torque = np.linspace(0, 6, 30), np.linspace(-50, 80, 30)
+    ring, plane = wide(eccentricity=9e-6j, sections=4), drives.mesh(eccentricity=(0.0, 9e-6))
+    assert_allclose(torsion(ring, turn, torque), torsion(plane, turn, torque), rtol=1e-12)
+    state = mesh_state(ring, turn, torque)
+    share = ring.geometry.section_weights[:, None, None]
+    assert_allclose(state.section_load, share * state.load[:, None], rtol=1e-9, atol=1e-9)
+
+
+def test_a_long_cup_is_a_ring() -> None:
+    turn, torque = np.linspace(0, 6, 20), np.linspace(1, 80, 20)
+    ring = torsion(wide(tilt=1e-3j), turn, torque)
+    away = [np.abs(torsion(wide(length, tilt=1e-3j), turn, torque) - ring).max() for length in (1.0, 10.0)]
+    assert away[1] < 0.2 * away[0] < 1e-5
+
+
+@given(st.floats(0, 2 * np.pi), st.floats(-60, 60).filter(lambda torque: abs(torque) > 0.5))
+def test_mirrored_and_turned(turn: float, torque: float) -> None:
+    own, load = np.array([turn]), np.array([torque])
+    beta = torsion(ASTRAY, own, load)
+    mirrored = replace(
+        ASTRAY,
+        eccentricity=ASTRAY.eccentricity.conjugate(),
+        runout=ASTRAY.runout.conjugate(),
+        tilt=ASTRAY.tilt.conjugate(),
+        arc_offset=-ASTRAY.arc_offset,
+    )
+    assert_allclose(torsion(mirrored, -own, -load), -beta, rtol=1e-9)
+    # By a slot's pitch, with everything that stands in the housing, the drive is the same.
+    pitch = ASTRAY.geometry.slot_pitch
+    along = np.exp(1j * pitch)
+    moved = replace(ASTRAY, eccentricity=ASTRAY.eccentricity * along, tilt=ASTRAY.tilt * along)
+    same = torsion(moved, own + pitch, load)
+    # The teeth stand elsewhere by the difference of a slot's and a tooth's way: that is a whole tooth.
+    assert_allclose(same, beta, rtol=1e-9)
+
+
+def test_a_tilt_of_a_ring_has_no_side_and_of_a_cup_has_one() -> None:
+    turn, torque = np.linspace(0, 3, 20), np.full(20, 5.0)
+
+    def both(cup_length: float) -> tuple[np.ndarray, np.ndarray]:
+        return tuple(torsion(wide(cup_length, 8e-6j, side * 1e-3j), turn, torque) for side in (1, -1))  # type: ignore[return-value]
+
+    assert_allclose(*both(0.0), rtol=1e-12)
+    assert np.abs(np.subtract(*both(0.04))).max() > 1e-5
+
+
+@pytest.mark.parametrize("torque", [0.0, 3.0, -40.0])
+def test_sections_together_bear_the_torque(torque: float) -> None:
+    state = mesh_state(ASTRAY, np.linspace(0, 6, 15), torque)
+    assert_allclose(state.section_load.sum(axis=1), state.load, rtol=1e-14)
+    contact = contacts(ASTRAY, np.linspace(0, 6, 15))
+    lever = contact.radius * np.cos(contact.pressure_angle)
+    overlap = np.fmax(FLANKS * state.torsion[:, None, None] - contact.rotation, 0.0)
+    force = overlap * lever * contact.weight / ASTRAY.tooth_compliance
+    assert_allclose(np.nansum(FLANKS * force * lever, axis=(1, 2)), torque, atol=1e-8)
+    assert_allclose(np.nansum(force, axis=(1, 2)), state.load.sum(axis=(1, 2)), rtol=1e-9, atol=1e-9)
+    assert_allclose(state.backlash, np.fmin.reduce(state.section_backlash, axis=1))
+
+
+def test_a_clearance_anywhere_turns_the_cup_by_its_weight() -> None:
+    angle, torque = np.array([0.3]), 20.0
+    contact = contacts(ASTRAY, angle)
+    stiffness = flank_stiffness(contact, ASTRAY.tooth_compliance)
+    beta = torsion(ASTRAY, angle, torque)[0]
+    loaded = FLANKS * beta > np.nan_to_num(contact.rotation[0], nan=np.inf)
+    weight = np.where(loaded, FLANKS * stiffness[0], 0.0) / stiffness[0][loaded].sum()
+    step = 1e-9
+    for flank, column in np.argwhere(loaded)[::9]:
+        opened = contact.rotation.copy()
+        opened[0, flank, column] += step
+        moved = torsion_of_flanks(opened, stiffness, np.array([torque]))[0, 0]
+        assert_allclose((moved - beta) / step, weight[flank, column], atol=1e-6)
+
+
+@pytest.mark.parametrize("torque", [0.5, 30.0, -9.0])
+def test_derivatives_by_displacement_and_tilt(torque: float) -> None:
+    turn, load = np.linspace(0.01, 6, 40), np.full(40, torque)
+    beta, gradient = torsion_and_gradient(ASTRAY, turn, load)
+    assert_array_equal(beta, torsion(ASTRAY, turn, load))
+    changes = {
+        0: ("eccentricity", 1e-9),
+        1: ("eccentricity", 1e-9j),
+        5: ("tilt", 1e-7),
+        6: ("tilt", 1e-7j),
+    }
+    for column, (name, step) in changes.items():
+        ends = [
+            torsion(replace(ASTRAY, **{name: getattr(ASTRAY, name) + s * step}), turn, load) for s in (1, -1)
+        ]
+        slope = (ends[0] - ends[1]) / (2 * abs(step))
+        size = np.abs(slope).max()
+        assert np.median(np.abs(gradient[:, column] - slope)) < 1e-4 * size
+    nodes = np.arange(0, 256, 7)
+    own = 2 * np.pi / 256 * nodes, np.full(nodes.size, torque)
+    for found, expected in zip(
+        torsion_along(ASTRAY, *own, 256), torsion_and_gradient(ASTRAY, *own), strict=True
+    ):
+        assert_allclose(found, expected, rtol=1e-7, atol=1e-9 * np.abs(expected).max())
+
+
+def test_a_map_of_sections_keeps_its_tolerance() -> None:
+    table = build(wide(0.04, 8e-6j, 0.6e-3), 60.0, steps_per_tooth=16)
+    assert table.repeats == 2
+    assert table.error_bound < 2 * TOLERANCE * 16
+    turn, torque = np.linspace(0, 6, 200), np.linspace(-59, 59, 200)
+    assert_allclose(table(turn, torque), torsion(table.mesh, turn, torque), rtol=0, atol=table.error_bound)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"sections": 3}, "give face_width"),
+        ({"face_width": -1e-3}, "face_width"),
+        ({"sections": 0, "face_width": 0.01}, "sections must be at least 1"),
+        ({"cup_length": 4e-3, "face_width": 0.01, "sections": 3}, "must exceed half of face_width"),
+        ({"cup_length": 8e-3, "face_width": 0.011, "sections": 5}, "at the long axis of the section at"),
+    ],
+)
+def test_widths_that_cannot_be(changes: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        drives.geometry(**changes)
+
+
+def test_tilts_that_cannot_be() -> None:
+    with pytest.raises(ValueError, match="give face_width and sections"):
+        Mesh(drives.geometry(), tilt=1e-3)
+    with pytest.raises(ValueError, match="what the tilt adds at the ends"):
+        wide(tilt=0.05)
