@@ -203,10 +203,10 @@ class ContactTable:
 
     def _one_slot(self, slot: int, opening: Openings) -> Floats:
         angle, pair = np.nonzero(self.contact.slots == slot)
-        found = np.zeros((*self.torsion.shape, 2))
+        found, there = np.zeros((*self.torsion.shape, 2)), np.s_[:, angle]
         for flank in (0, 1):  # a slot is at one lobe at a time, there in every section
             slope = self._slope(np.s_[:], angle, flank, pair, opening[flank])
-            np.add.at(found[..., flank], np.s_[:, angle], slope)
+            np.add.at(found[..., flank], there, slope)  # type: ignore[arg-type]
         return found
 
     def _slope(

@@ -24,6 +24,7 @@ _COUNTS = re.compile(r"counts/(\d+(?:\.\d+)?)")
 _ZERO_CELSIUS = 273.15  # [K]
 _COUNTER = 2.0**16  # counts after which a small counter begins anew
 _ALIKE = 0.6  # of difflib's ratio, from which it calls words close
+_SHORT = 3  # letters, of a beginning that may stand for a name
 _LONGEST = 80  # characters of a name that are compared
 
 
@@ -183,4 +184,6 @@ def _fit(wanted: Sequence[str], parts: Sequence[str], likeness: Callable[[str, s
 
 
 def _likeness(one: str, other: str) -> float:
-    return difflib.SequenceMatcher(None, one, other).ratio()
+    """Of what is written and a name, of which it may be the beginning."""
+    begins = len(one) >= _SHORT and other.startswith(one)
+    return max(difflib.SequenceMatcher(None, one, other).ratio(), _ALIKE * begins)
