@@ -139,8 +139,8 @@ def _other_units(record: Record, configured: Drive) -> Finding | None:
 
 def _lost_samples(record: Record) -> list[Finding]:
     """Findings of files that are not whole, clocks set back, samples refused or without a partner."""
-    refused, _, unpaired, set_back, problems, unstamped = record.stamps
-    found = []
+    refused, _, unpaired, set_back, problems, unstamped, others = record.stamps
+    found = [Finding("second_publisher", text, float(len(others)), "-", False) for text in others]
     if problems:
         found.append(Finding("incomplete", record.stamps.broken, float(len(problems)), "-", False))
     if set_back:

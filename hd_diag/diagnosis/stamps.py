@@ -36,7 +36,8 @@ class Stamps(NamedTuple):
 
     How many were refused and why the last; output angles without an input angle at their stamp; how often the
     clock was set back in the middle of a recording; what is unfinished, damaged or missing of its files;
-    messages whose stamp was zero, for which the time of reception stands.
+    messages whose stamp was zero, for which the time of reception stands; what is said of rows of a second
+    publisher, which are left out.
     """
 
     refused: int = 0
@@ -45,12 +46,17 @@ class Stamps(NamedTuple):
     set_back: int = 0
     problems: tuple[str, ...] = ()
     unstamped: int = 0
+    others: tuple[str, ...] = ()
 
     @property
     def reported(self) -> dict[str, Any]:
         """The same by names, for JSON."""
-        names = "refused", "last_refusal", "unpaired", "clock_set_back", "problems", "stamps_zero"
-        return dict(zip(names, self, strict=True)) | {"problems": list(self.problems)}
+        names = (
+            *("refused", "last_refusal", "unpaired", "clock_set_back"),
+            *("problems", "stamps_zero", "second_publisher"),
+        )
+        lists = {"problems": list(self.problems), "second_publisher": list(self.others)}
+        return dict(zip(names, self, strict=True)) | lists
 
     @property
     def lines(self) -> list[str]:
@@ -58,7 +64,8 @@ class Stamps(NamedTuple):
         count = f"{self.refused} samples are" if self.refused > 1 else "1 sample is"
         refused = f"{count} left out, the last because: {self.reason}"
         broken = [self.broken] if self.problems else []
-        return [*broken, *([self.received] if self.unstamped else []), *([refused] if self.refused else [])]
+        received = [self.received] if self.unstamped else []
+        return [*broken, *received, *self.others, *([refused] if self.refused else [])]
 
     @property
     def received(self) -> str:
@@ -91,8 +98,8 @@ class Stamps(NamedTuple):
         """Counts of this recording and a later one together."""
         counts = self.unpaired + later.unpaired, self.set_back + later.set_back
         problems = tuple(dict.fromkeys(self.problems + later.problems))
-        unstamped = self.unstamped + later.unstamped
-        return Stamps(self.refused + later.refused, later.reason or self.reason, *counts, problems, unstamped)
+        both = self.unstamped + later.unstamped, tuple(dict.fromkeys(self.others + later.others))
+        return Stamps(self.refused + later.refused, later.reason or self.reason, *counts, problems, *both)
 
 
 UNTOLD = Stamps()

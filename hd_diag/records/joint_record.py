@@ -17,7 +17,9 @@ from hd_diag.diagnosis.blocks import unwrapped
 from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.outliers import torque_outliers
 from hd_diag.diagnosis.record import Record, RecordError, prepare
+from hd_diag.diagnosis.second_publisher import other_rows
 from hd_diag.diagnosis.stamps import UNTOLD, Stamps, doubtful_clock
+from hd_diag.formatting import listed
 from hd_diag.messages.publications import TEMPERATURE, read_temperature
 from hd_diag.records.joint_topics import JointTopics, offered, place
 from hd_diag.streams.alignment import Aligned, Alignment, torque_between
@@ -195,6 +197,9 @@ def _read(path: str | Path, joint: JointConfig, wanted: Callable[[Aligned], Any]
     if not (columns[0][1:] >= columns[0][:-1]).all():
         order = np.lexsort((columns[0], columns[2]))
         columns = [column[order] for column in columns]
+    others: tuple[str, ...] = ()
+    if size:
+        columns, others = _own_rows(joint, streams, topics, columns)
     stamp, torque_stamp, stretch, given, own, torque, speed = columns
     encoder = streams.encoders[0, 0]
     if (
@@ -210,8 +215,35 @@ def _read(path: str | Path, joint: JointConfig, wanted: Callable[[Aligned], Any]
     seen = streams.joints[0]
     unpaired = int(seen["unpaired"] + seen["waiting"])  # no input came for those that still wait
     counts = int(seen["rejected"]), streams.last_rejection(0), unpaired, int(seen["clock_jumps"])
-    reported = Stamps(*counts, tuple(reader.problems), int(seen["unstamped"]))
+    reported = Stamps(*counts, tuple(reader.problems), int(seen["unstamped"]), others)
     return [stamp, stretch, given, own, torque, speed, warm], reported
+
+
+def _own_rows(
+    joint: JointConfig, streams: Alignment, topics: JointTopics, columns: list[Any]
+) -> tuple[list[Any], tuple[str, ...]]:
+    """Columns without what a second publisher gave, and what is said of it.
+
+    Turns that an angle within one seemed to make on the way there and back are taken back.
+    """
+    stamp, _, stretch, given, own, torque, _ = columns
+    within = streams.encoders[0]["high"] - streams.encoders[0]["low"] <= _TURN
+    turns = 2.0 * np.pi * np.array([abs(joint.names.input_factor), 1.0])
+    period = dict(zip(("input", "output"), np.where(within, turns, inf).tolist(), strict=True))
+    values = {"input": given, "output": own, "torque": torque}
+    measured = {name: column for name, column in values.items() if np.isfinite(column).any()}
+    if joint.signals.is_velocity:
+        del measured["input"]
+    where = f" on {listed(sorted(topics.readers), 3)}"
+    rows, said = other_rows(_seconds(stamp, stamp[0]), stretch, measured, period, where)
+    if not said:
+        return columns, ()
+    columns = [column[~rows] for column in columns]
+    for number, name in ((3, "input"), (4, "output")):
+        for begin, end in bounds(columns[2]) if name in measured and period[name] < inf else ():
+            known = begin + np.flatnonzero(np.isfinite(columns[number][begin:end]))
+            columns[number][known] = np.unwrap(columns[number][known], period=period[name])
+    return columns, (said,)
 
 
 def _degrees(data: bytes, streams: Alignment) -> float:

@@ -18,6 +18,7 @@ from hd_diag.diagnosis.blocks import unwrapped
 from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.outliers import torque_outliers
 from hd_diag.diagnosis.record import Record, RecordError, prepare
+from hd_diag.diagnosis.second_publisher import other_rows
 from hd_diag.diagnosis.stamps import Stamps, doubtful_clock
 from hd_diag.formatting import listed
 from hd_diag.records.joint_record import InputRecord
@@ -141,9 +142,27 @@ def columns_of(
     found = {name: np.concatenate([columns[name] for columns, _ in files]) for name in files[0][0]}
     recording = np.stack((number, found.pop(_PART), found.get("record", np.zeros(number.size))), axis=1)
     found["record"] = np.unique(recording, axis=0, return_inverse=True)[1].reshape(-1)
+    stamps = _own_rows(found, stamps)
     _make_angles(found, files[0][1], joint, table.divided)
     _check_clock(table, found, joint.drive.kinematics.ratio)
     return found, files[0][1], stamps
+
+
+def _own_rows(found: dict[str, Floats], stamps: Stamps) -> Stamps:
+    """Take out, in place, what a second publisher gave; what is told of the rows is returned."""
+    roles = [name for name in _USUAL if name in found and name not in ("time", "temperature")]
+    measured = {name: found[name] for name in roles if np.isfinite(found[name]).any()}
+    within = [
+        n for n in ("input", "output") if n in measured and np.nanmax(found[n]) - np.nanmin(found[n]) <= _TURN
+    ]
+    rows, said = other_rows(
+        found["time"], found["record"].astype(np.int64), measured, dict.fromkeys(within, 2.0 * np.pi)
+    )
+    if said:
+        for name, column in found.items():
+            found[name] = column[~rows]
+        stamps = stamps.and_then(Stamps(others=(said,)))
+    return stamps
 
 
 def _check_clock(table: Table, found: Mapping[str, Floats], ratio: float) -> None:

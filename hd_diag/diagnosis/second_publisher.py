@@ -1,0 +1,99 @@
+"""Rows of a second publisher: one value again and again, between a joint's samples that go on elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import inf
+
+import numpy as np
+
+from hd_diag.arrays import Floats, Integers
+from hd_diag.diagnosis.outliers import Rows
+
+_CANDIDATES = 4  # values of a column that are tried, the most frequent ones
+_LEAST = 3  # times that a value has to come between others: fewer are outliers
+_FAR = 5.0  # times the step that a hundredth of the joint's own exceed, which no joint jumps there and back
+_SMALLEST = 1e-3  # jump that counts [rad, N m], where the joint itself rests
+_SHORT = 5  # rows; a torque may go to zero for longer, where a brake holds
+_DIGITS = 9  # to which wrapped angles are compared
+_UNITS = {"input": "rad", "output": "rad", "torque": "N m"}
+
+
+def other_rows(
+    time: Floats, bag: Integers, columns: Mapping[str, Floats], period: Mapping[str, float], where: str = ""
+) -> tuple[Rows, str]:
+    """Rows (n,) that a second publisher gave, and what is to be said of them; empty where there are none.
+
+    Times [s] and numbers of recordings (n,); angles [rad] and torque [N m] by their roles, each (n,); after
+    what an angle that counts within a turn begins anew [rad]; `where` they were published.
+
+    Notes
+    -----
+    A joint passes a value, rests there, or steps and stays. It does not leave its path for the same value,
+    to the last digit, and come back, three times and more. Where other columns are constant in these rows
+    too, all such rows are the publisher's, also those near the joint's own path.
+    """
+    keys = {name: _key(column, period.get(name, inf)) for name, column in columns.items()}
+    longest = {"torque": _SHORT}
+    between = [
+        _between(columns[name], key, bag, period.get(name, inf), longest.get(name, time.size))
+        for name, key in keys.items()
+    ]
+    rows: Rows = np.any(between, axis=0) if between else np.zeros(time.size, dtype=bool)
+    if not rows.any():
+        return rows, ""
+    alike = {name: float(key[rows][0]) for name, key in keys.items() if np.ptp(key[rows]) == 0.0}
+    if len(alike) > 1:
+        rows = rows | np.all([keys[name] == value for name, value in alike.items()], axis=0)
+    count = int(np.count_nonzero(rows))
+    span = sum(float(np.ptp(time[bag == number])) for number in np.unique(bag))
+    told = " and ".join(f"{name} {value:g} {_UNITS[name]}" for name, value in alike.items())
+    text = (
+        f"{count} rows{' with ' if told else ''}{told}, {count / max(span, 1e-9):.3g} a second, stand "
+        "between samples that go on elsewhere: no joint jumps there and back, a second publisher"
+        f"{where} does; they are left out"
+    )
+    return rows, text
+
+
+def _key(column: Floats, period: float) -> Floats:
+    """Values that are compared: of an angle within a turn, its place in the turn."""
+    if period == inf:
+        return column
+    place = np.round(np.remainder(column, period), _DIGITS)
+    return np.asarray(np.where(place >= np.round(period, _DIGITS), 0.0, place))
+
+
+def _between(column: Floats, key: Floats, bag: Integers, period: float, longest: int) -> Rows:
+    """Rows (n,) with one value, to which a column jumps, for so many rows at the longest, and back again."""
+    found = np.zeros(column.size, dtype=bool)
+    finite = np.isfinite(column)
+    values, counts = np.unique(key[finite], return_counts=True)
+    for number in np.argsort(-counts, kind="stable")[:_CANDIDATES]:
+        if counts[number] < _LEAST:
+            break
+        rows = np.flatnonzero(key == values[number])
+        own = np.flatnonzero(finite & (key != values[number]))
+        after = own.searchsorted(rows)
+        if not own.size:
+            continue
+        left, right = own[np.maximum(after - 1, 0)], own[np.minimum(after, own.size - 1)]
+        # At either end of a recording there is one neighbour.
+        has_left, has_right = ((side < rows) == before for side, before in ((left, True), (right, False)))
+        has_left, has_right = has_left & (bag[left] == bag[rows]), has_right & (bag[right] == bag[rows])
+        left, right = np.where(has_left, left, right), np.where(has_right, right, left)
+        step = _apart(column[own[1:]] - column[own[:-1]], period)[bag[own[1:]] == bag[own[:-1]]]
+        least = max(_FAR * float(np.percentile(step, 99)), _SMALLEST) if step.size else np.inf
+        away = np.minimum(*(_apart(column[side] - column[rows], period) for side in (left, right)))
+        back = (_apart(column[right] - column[left], period) <= least) & (has_left | has_right)
+        jumps = (away > least) & back & (np.bincount(after)[after] <= longest)
+        if np.unique(after[jumps]).size >= _LEAST:
+            found[rows[jumps]] = True
+    return found
+
+
+def _apart(difference: Floats, period: float) -> Floats:
+    """Size of differences; of angles within a turn, the short way."""
+    if period < inf:
+        difference = np.remainder(difference + 0.5 * period, period) - 0.5 * period
+    return np.abs(difference)

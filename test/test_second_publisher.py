@@ -1,0 +1,115 @@
+"""Rows of a second publisher among a joint's own: told and left out; what a joint does itself stays."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from joint_records import RATIO, columns, joint, prepared
+from numpy.testing import assert_allclose
+from test_recording import COLUMNS, NAMES, states, write, write_table
+
+from hd_diag.diagnosis.second_publisher import other_rows
+from hd_diag.records.joint_record import read_bags, read_motion
+from hd_diag.records.tables import Table, read_table_motion, read_tables
+
+NOTHING = np.zeros(1200, np.int64)
+
+
+@pytest.fixture(scope="module")
+def given() -> dict[str, np.ndarray]:
+    """Six seconds at 200 Hz, from 2.6 rad of the output on: beyond half a turn, as robots' joints go."""
+    made = columns(seconds=6.0)
+    return {**made, "output": made["output"] + 2.6, "input": made["input"] + 2.6 * RATIO}
+
+
+def of_both(
+    given: dict[str, np.ndarray], every: int, value: float, effort: float | None
+) -> dict[str, np.ndarray]:
+    """Rows with a value between the joint's own, a millisecond after each of `every`."""
+    other = given["time"][::every] + 1e-3
+    order = np.argsort(np.concatenate((given["time"], other)), kind="stable")
+    foreign = {"time": other, "input": 0 * other + value, "output": 0 * other + value}
+    if effort is not None:
+        foreign["torque"] = 0 * other + effort
+    else:
+        foreign["torque"] = given["torque"][::every]
+    return {name: np.concatenate((given[name], foreign[name]))[order] for name in foreign}
+
+
+@pytest.mark.parametrize("every", [1, 4, 20])
+@pytest.mark.parametrize(("value", "effort"), [(0.0, 0.0), (-1.25, 0.0), (0.0, None)])
+def test_rows_of_another_are_left_out_and_told(
+    every: int, value: float, effort: float | None, given: dict[str, np.ndarray], tmp_path: Path
+) -> None:
+    """Zeros, another pose, only angles; from a bag and a table, for `diagnose` and for `ripple`."""
+    mixed, expected = of_both(given, every, value, effort), prepared(given)
+    block = np.zeros_like(mixed["torque"]), mixed["torque"]
+    bag = write(tmp_path / "a.mcap", states(mixed["time"], NAMES, (mixed["input"], mixed["output"]), block))
+    table = write_table(tmp_path / "a.csv", mixed)
+    count = given["time"][::every].size
+    for record in (read_bags([bag], joint()), read_tables([table], Table(COLUMNS), joint())):
+        assert_allclose(
+            record.input_angle - record.input_angle[0], given["input"] - given["input"][0], 0, 1e-6
+        )
+        assert_allclose(record.reported_torque, expected.reported_torque, rtol=0, atol=1e-9)
+        (said,) = record.stamps.others
+        assert said.startswith(f"{count} rows with ")
+        assert f"output {value % (2 * np.pi):g} rad" in said
+    one = {"time": "t", "output": "link", "torque": "tau"}
+    alone = write(
+        tmp_path / "o.mcap", states(mixed["time"], NAMES[1:], (mixed["output"],), (mixed["torque"],))
+    )
+    for motion in (read_motion([alone], joint()), read_table_motion([table], Table(one), joint())):
+        assert motion is not None
+        turned = motion.input_angle - motion.input_angle[0]
+        assert_allclose(turned, RATIO * (given["output"] - given["output"][0]), rtol=0, atol=1e-6)
+        assert motion.stamps.others
+
+
+@pytest.mark.parametrize("column", ["input", "output", "torque"])
+def test_zeros_in_one_column(column: str, given: dict[str, np.ndarray], tmp_path: Path) -> None:
+    changed = given[column].copy()
+    changed[10::25] = 0.0
+    table = write_table(tmp_path / "a.csv", {**given, column: changed})
+    record = read_tables([table], Table(COLUMNS), joint())
+    assert record.size == given["time"].size - changed[10::25].size
+    assert f"48 rows with {column} 0" in record.stamps.others[0]
+
+
+def own(seed: int) -> dict[str, np.ndarray]:
+    """What a joint does itself: counts that wrap, rests at zero, steps that stay, spikes, held values."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(1200) / 200.0
+    angle = 0.8 * np.sin(2.0 * time) * (rng.uniform(size=4).repeat(300) > 0.5)
+    counts = np.round(angle / 1e-3) * 1e-3
+    steps = angle + 0.031 * (time > 3.0)
+    wrapped = (40.0 * time + np.pi) % (2.0 * np.pi) - np.pi
+    spikes = np.where(rng.uniform(size=1200) < 0.01, rng.normal(size=1200), angle)
+    torque = np.round(20.0 * np.sin(3.0 * time) + rng.normal(size=1200))
+    return {
+        "angle": angle,
+        "counts": counts,
+        "steps": steps,
+        "wrapped": wrapped,
+        "spikes": spikes,
+        "torque": torque,
+        "torque under a brake": np.where(np.sin(9.0 * time) > 0.0, 20.0, 0.0),
+    }
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("name", list(own(0)))
+def test_what_a_joint_does_itself_stays(name: str, seed: int) -> None:
+    time, column = np.arange(1200) / 200.0, own(seed)[name]
+    role = "torque" if name.startswith("torque") else "input"
+    rows, said = other_rows(time, NOTHING, {role: column}, {"input": 2 * np.pi} if name == "wrapped" else {})
+    assert (rows.any(), said) == (False, "")
+
+
+def test_an_encoder_that_wraps_and_a_second_publisher() -> None:
+    time = np.arange(1200) / 200.0
+    wrapped = (7.0 * time + np.pi) % (2.0 * np.pi) - np.pi
+    wrapped[5::10] = 0.5
+    rows, _ = other_rows(time, NOTHING, {"input": wrapped}, {"input": 2 * np.pi})
+    assert np.flatnonzero(rows).size > 100
+    assert set(np.flatnonzero(rows)) <= set(range(5, 1200, 10))
