@@ -12,7 +12,7 @@ from typing import Any
 import faults
 import numpy as np
 import pytest
-from bag_samples import JOINT_STATE, rows, write_with_mcap
+from bag_samples import JOINT_STATE, peak_of, rows, write_with_mcap
 from cli_runner import hd_diag
 from mcap.reader import make_reader
 from mcap.writer import Writer
@@ -279,3 +279,18 @@ def test_a_replay_takes_what_it_needs(tmp_path: Path) -> None:
         with BagReader(out) as reader:
             counts = {topic.name: topic.count for topic in reader.topics}
         assert counts["/joint_states"] == counts["/hd_diag/residual"] == COUNT
+
+
+def test_a_row_that_would_fill_the_memory_is_refused_alone(tmp_path: Path) -> None:
+    """Of 100 MB, beside rows that can be read; it is no message where it is decoded."""
+    with RosbagsWriter(tmp_path / "bag", version=9) as writer:
+        joints = writer.add_connection("/joint_states", JOINT_STATE, typestore=jazzy())
+        for row, now in zip(STATES, STAMPS.tolist(), strict=True):
+            writer.write(joints, now, row.tobytes())
+    with closing(sqlite3.connect(tmp_path / "bag" / "bag.db3")) as db:
+        db.execute("UPDATE messages SET data = zeroblob(100000000) WHERE id = 150")
+        db.commit()
+    motion, peak = peak_of(lambda: read_motion([tmp_path / "bag"], one_joint()))
+    assert motion is not None
+    assert (motion.time.size, motion.stamps.refused) == (COUNT - 1, 1)
+    assert peak < 60e6

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,17 @@ UNREADABLE = (yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError, R
 """What comes of YAML that is none, or not what was expected."""
 _MAX_DEPTH = 50  # rosbag2's own files have a depth of 7
 _MAX_TEXT = 4 << 20
+
+
+@functools.lru_cache(maxsize=256)
+def plain_offers(text: str) -> str:
+    """A channel's ``offered_qos_profiles`` as this version writes them; a bag may have 20,000 channels."""
+    return dump_offers(parse_offers(text))
+
+
+@functools.lru_cache(maxsize=256)
+def _listed_offers(text: str) -> Any:
+    return load_yaml(text) or []
 
 
 def dump_offers(offers: Sequence[Qos]) -> str:
@@ -70,7 +82,7 @@ def metadata(files: Sequence[Written], streams: Iterable[Stream]) -> dict[str, A
                 "name": stream.channel.topic,
                 "type": stream.schema.name,
                 "serialization_format": stream.channel.message_encoding,
-                "offered_qos_profiles": load_yaml(stream.channel.metadata["offered_qos_profiles"]) or [],
+                "offered_qos_profiles": _listed_offers(stream.channel.metadata["offered_qos_profiles"]),
                 "type_description_hash": stream.channel.metadata["topic_type_hash"],
             },
             "message_count": written(files, stream),

@@ -24,6 +24,8 @@ from hd_diag.messages.schemas import Definition
 _STEPS_PER_BYTE = 100
 _STEPS_PER_TURN = 10_000
 _ROWS, _BYTES = 4096, 4 << 20  # that are read at a time
+# A longer message is read as an empty one, which is refused where it is decoded: it could fill the memory.
+_MAX_READ = 32 << 20
 _HEADS = 1 << 16  # rows whose times are looked through at a time
 _DAMAGE = (sqlite3.Error, TypeError, ValueError, OverflowError)
 _COUNT = """
@@ -85,6 +87,7 @@ class SqliteFile:
         which, content, read, order = "true", "CAST(data AS BLOB)", 0, "id"
         if numbers is not None:
             which, order = f"topic_id IN ({','.join(map(str, numbers))})", "timestamp, id"
+            content = f"CASE WHEN LENGTH(data) <= {_MAX_READ} THEN {content} ELSE x'' END"
         elif hasattr(sqlite3.Connection, "blobopen"):
             content = f"CASE WHEN LENGTH(data) <= {LARGE} THEN {content} END"
         query = f"SELECT topic_id, timestamp, {content}, id FROM messages WHERE {which} {{}} ORDER BY {order}"

@@ -9,7 +9,7 @@ from rosbags.interfaces import Qos
 
 from hd_diag.bag.errors import BagError
 from hd_diag.bag.mcap_file import Stream
-from hd_diag.bag.rosbag2 import RELIABLE, dump_offers, parse_offers
+from hd_diag.bag.rosbag2 import RELIABLE, dump_offers, plain_offers
 from hd_diag.messages.schemas import Definition, definition
 
 
@@ -44,7 +44,7 @@ class Streams(dict[tuple[str, str], Stream]):
             raise BagError(path, f"type {type_name} of topic {topic} has no known definition") from exc
         own = known.text.encode(errors="surrogateescape"), known.encoding, type_name  # it may be binary
         schema = self._schemas.setdefault(own[1:], Schema(len(self._schemas) + 1 if type_name else 0, *own))
-        offers = dump_offers(parse_offers(qos) if isinstance(qos, str) else [qos or RELIABLE])
+        offers = plain_offers(qos) if isinstance(qos, str) else dump_offers([qos or RELIABLE])
         extra = {"offered_qos_profiles": offers, "topic_type_hash": known.type_hash}
         made = Stream(schema, Channel(number, topic, known.messages, extra, schema.id))
         self[topic, type_name] = made

@@ -188,7 +188,7 @@ def beside(every: list[NumericField], output: NumericField, *kinds: str) -> Nume
 
 def _fields(reader: BagReader, topic: Topic) -> dict[str, str]:
     """Paths of a topic's numbers with their types, of all kinds of its messages that can be read."""
-    if topic.name.endswith(OWN_OUTPUTS) or not topic.count:
+    if topic.name.endswith(OWN_OUTPUTS) or topic.count < 2:  # of one message nothing moves
         return {}
     store, found, tried = reader.given_types(topic), dict[str, str](), 0
     for batch in _batches(reader, topic):
