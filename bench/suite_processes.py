@@ -63,7 +63,7 @@ def bags(options):
         yield {
             "what": "replay, map included, per hour",
             **{"value": whole * per_hour, "unit": "s", "ratio": seconds / whole, "against": "real time"},
-            "note": note,
+            **{"note": note, "aim": 300, "aim_unit": "x"},
         }
         yield from diagnosis(Path(folder))
 
@@ -143,6 +143,13 @@ def node(options):
             **{"value": row["cpu_per_message_us"], "unit": "us", "ratio": row["beside_empty"]},
             **{"against": "empty rclpy node", "note": f"{row['lost']} lost" if row["lost"] else ""},
         }
+    last = rows[-1]  # all joints, with the log
+    for what, value, unit, aim in (
+        ("part of the empty node's CPU", last["beside_empty"], "-", 0.7),
+        ("share of a core", 100.0 * last["share_of_core"], "%", 30.0),
+    ):
+        label = f"{last['node']}, {last['joints']} joints, 1 kHz: {what}"
+        yield {"what": label, "value": value, "unit": unit, "aim": aim, "aim_unit": unit}
 
 
 PROCESSES = {"bags": bags, "node": node}

@@ -13,6 +13,7 @@ from models import STATEFUL, write_model
 from rosbags.typesys import Stores, get_typestore
 
 from hd_diag.config.configuration import resolve
+from hd_diag.messages.joint_states import JointStateReader
 from hd_diag.messages.publications import (
     JOINT_STATE,
     TEMPERATURE,
@@ -173,3 +174,45 @@ def test_silence_goes_by_a_clock_of_its_own(tmp_path: Path) -> None:
     assert [report.status[0].message for report in reports] == ["OK", f"no valid sample for 3.0 s: {said}"]
     replay(tmp_path / "log.mcap", tmp_path / "again.mcap")
     assert content(tmp_path / "again.mcap") == content(tmp_path / "log.mcap")
+
+
+def test_messages_taken_together_give_what_one_by_one_do() -> None:
+    """Of two topics in any number at a time; some cannot be read, a temperature changes among them."""
+    chance = np.random.default_rng(7)
+    given = {
+        "b__temperature_signal__field": "effort[b_motor]",
+        "b__temperature_signal__topic": "joint_states",
+    }
+    given["b__temperature_signal__type"] = "sensor_msgs/JointState"
+    configured = config("a", "b", **given)
+    usual = JointStateReader({k: s for j in configured.joints for k, s in j.mapped.items()})
+    other = JointStateReader({})
+    taken: list[tuple[JointStateReader, bytes]] = []
+    for i in range(600):
+        stamp, warm = START + i * MS, 20.0 + i // 150
+        angles = {"a_motor": 0.01 * i, "a": 1e-4 * i, "b_motor": 0.02 * i, "b": 2e-4 * i}
+        data = message(stamp, angles, {"a": 3.0, "b_motor": warm, "b": 1.0})
+        if i % 7 == 3:
+            taken.append((other, message(stamp, {"a": 1e-4 * i}, {"a": 2.0})))
+        taken.append((usual, data[:-9] if i % 50 == 20 else data))
+    received = START + np.cumsum(chance.integers(1, MS, len(taken)))
+    found = []
+    for most in (1, 2, 9, 64):
+        recording = Recording()
+        session, begin = Session(configured, recording), 0
+        session.start(START - 1)
+        while begin < len(taken):
+            end = min(len(taken), begin + int(chance.integers(1, most + 1)))
+            session.messages(received[begin:end], taken[begin:end])
+            begin = end
+        session.tick(int(received[-1]) + 1, START, FACTS)
+        found.append(recording.topics())
+    assert int(json_values(found[0])["samples_rejected"]) == 12
+    for again in found[1:]:
+        assert again == found[0]
+
+
+def json_values(topics: dict[str, list[tuple[int, bytes]]]) -> dict[str, str]:
+    """Diagnostics of the first joint in the last report."""
+    report = STORE.deserialize_cdr(topics["/diagnostics"][-1][1], "diagnostic_msgs/msg/DiagnosticArray")
+    return {pair.key: pair.value for pair in report.status[0].values}

@@ -23,6 +23,7 @@ from hd_diag.config.parameter_file import read
 from hd_diag.config.parameters import flatten
 from hd_diag.diagnosis.record import RecordError
 from hd_diag.messages.fields import FieldReader
+from hd_diag.messages.schemas import jazzy, serialize
 from hd_diag.records.joint_record import read_bags, read_motion
 from hd_diag.records.joint_topics import JointTopics
 from hd_diag.replay.replay import replay
@@ -367,6 +368,23 @@ def test_columns_are_those_of_rosbags_whatever_the_lengths() -> None:
             values,
             row * 10**7,
         )
+
+
+def test_a_single_float_is_converted_in_double_however_many_come() -> None:
+    """Live and in a replay a number in degrees is the same radians, to the last bit."""
+    types, kind = jazzy().types, "sensor_msgs/msg/PointCloud"
+    stamp = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](1, 2), "")
+    value = np.float32(1.2345678)
+    channel = types["sensor_msgs/msg/ChannelFloat32"]("elbow", np.array([value]))
+    data = serialize(types[kind](stamp, [], [channel]), kind)
+    signal = Signal("/t", kind, "channels[elbow].values[0]", "elbow", unit("input", "deg"))
+    reader = FieldReader(jazzy(), kind, {"a.input": signal})
+    (many,), _ = reader.columns([data, data], np.zeros(2, np.int64))
+    expected = float(value) * unit("input", "deg").factor
+    assert many.signals is not None
+    assert many.signals.dtype == np.float64
+    assert many.signals.tolist() == [[expected]] * 2
+    assert reader.one(data, np.zeros(1, np.int64)).signals.tolist() == [[expected]]
 
 
 def test_messages_that_are_cut_off_or_hostile_are_rejected() -> None:

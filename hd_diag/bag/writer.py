@@ -200,7 +200,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self.add_topic(topic, type_name)
         times = np.asarray(log_times, np.int64)
         published = times if publish_times is None else np.asarray(publish_times, np.int64)
-        if any(t.shape != (len(rows),) or (len(t) and t.min() < 0) for t in (times, published)):
+        every = (times,) if published is times else (times, published)
+        if any(t.shape != (len(rows),) or (len(t) and t.min() < 0) for t in every):
             raise BagError(self.path, f"{topic}: times >= 0 are needed for each of {len(rows)} messages")
         if not isinstance(rows, np.ndarray) or rows.size <= rows.shape[1]:  # one message, or without content
             for data, log_time, publish in zip(rows, times.tolist(), published.tolist(), strict=True):

@@ -169,7 +169,8 @@ class FieldReader:
         if not index.size:
             return
         values = [
-            _column(rows, place, order + kind) * self._units[key].factor + self._units[key].offset
+            _column(rows, place, order + kind).astype(np.float64) * self._units[key].factor
+            + self._units[key].offset
             for key, (place, kind) in layout.numbers.items()
         ]
         signals = np.stack(values, axis=1) if values else None

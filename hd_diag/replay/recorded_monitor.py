@@ -32,7 +32,7 @@ from hd_diag.monitor.publications import Publication, Report
 from hd_diag.replay import versions
 from hd_diag.replay.events import write_event
 from hd_diag.streams.columns import JointStates
-from hd_diag.streams.signals import temperatures
+from hd_diag.streams.signals import temperature_changes, temperatures
 
 EVENTS = "~/events"
 """Topic of the events in a log: std_msgs/String with one JSON object, key ``event``."""
@@ -92,14 +92,28 @@ class Session:
         `heard` is the same time by the clock that is asked for silence [ns]; the reader is that of its topic,
         by default of one with joint states.
         """
-        received_at, heard_at = np.array([received]), np.array([received if heard is None else heard])
-        try:
-            shapes, refused = [(reader or self._usual).one(data, received_at)], []
-        except ValueError as error:
-            shapes, refused = [], [(0, str(error))]
+        heard_at = None if heard is None else np.array([heard])
+        self.messages(np.array([received]), [(reader or self._usual, data)], heard_at)
+
+    def messages(
+        self, received: Times, taken: Sequence[tuple[Reader, bytes]], heard: Times | None = None
+    ) -> None:
+        """Take messages in CDR, each with the reader of its topic; many give what one by one do.
+
+        `received` and `heard` are (n,) [ns].
+        """
+        shapes, refused = _read(received, taken)
         for states in shapes:
-            self.lag = float(np.fmax(self.lag, (received - states.stamp[-1]) * 1e-9))
-        self.mixed_states(received_at, shapes, refused, heard_at)
+            self.lag = float(np.fmax(self.lag, np.max(received[states.row] - states.stamp) * 1e-9))
+        begin = 0
+        for end in (*temperature_changes(shapes).tolist(), received.size):
+            if begin < end:
+                here = [states.between(begin, end) for states in shapes]
+                bad = [(row - begin, why) for row, why in refused if begin <= row < end]
+                heard_at = None if heard is None else heard[begin:end]
+                some = [states for states in here if states.row.size]
+                self.mixed_states(received[begin:end], some, bad, heard_at)
+            begin = end
 
     def mixed_states(
         self,
@@ -184,6 +198,23 @@ class Session:
                 told = {"facts": dict(each.facts), "silence": dict(each.silence)}
                 self._event(each.received, "report", stamp=each.stamp, **told)
             self._sink(encode(each, self._node))
+
+
+def _read(
+    received: Times, taken: Sequence[tuple[Reader, bytes]]
+) -> tuple[list[JointStates], list[tuple[int, str]]]:
+    """Columns of messages by their positions, and those that cannot be read, in order."""
+    rows: dict[Reader, list[int]] = {}
+    for row, (reader, _) in enumerate(taken):
+        rows.setdefault(reader, []).append(row)
+    shapes: list[JointStates] = []
+    refused: list[tuple[int, str]] = []
+    for reader, own in rows.items():
+        at = np.array(own)
+        columns, rejected = reader.columns([taken[row][1] for row in own], received[at])
+        shapes += [states._replace(row=at[states.row]) for states in columns]
+        refused += [(own[each.row], each.reason) for each in rejected]
+    return sorted(shapes, key=lambda states: int(states.row[0])), sorted(refused)
 
 
 def _models(config: Config) -> dict[str, str]:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from rclpy.utilities import remove_ros_args
 
 from hd_diag.config.configuration import ConfigError, load
-from hd_diag.config.parameter_file import for_any_node, sections
+from hd_diag.config.parameter_file import for_any_node, is_for, sections
+from hd_diag.formatting import visible
 
 
 class UsageError(Exception):
@@ -55,6 +56,15 @@ def read_in_every_namespace(arguments: Sequence[str], config_file: str) -> Itera
 def parameter_files(arguments: Sequence[str]) -> list[Path]:
     """Parameter files that a command line names."""
     return [Path(arguments[i + 1]) for i, a in enumerate(arguments[:-1]) if a == "--params-file"]
+
+
+def unread(sections: Mapping[str, Sequence[str]], node: str) -> list[str]:
+    """What is to say of parameter files with no section for a node, which ROS takes without a word."""
+    return [
+        visible(f"{file} has no section for {node}, but {', '.join(sorted(given)) or 'nothing'}")
+        for file, given in sections.items()
+        if not any(is_for(name, node) for name in given)
+    ]
 
 
 def reason(arguments: Sequence[str], error: Exception) -> str:

@@ -7,7 +7,7 @@ import gc
 import os
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,6 @@ from rclpy.utilities import ok, try_shutdown
 from hd_diag.bag import RELIABLE
 from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.config.json_shape import reader
-from hd_diag.config.parameter_file import is_for
 from hd_diag.formatting import visible
 from hd_diag.gears.characteristics import tooth_loads
 from hd_diag.memory import give_back, map_large_arrays
@@ -37,7 +36,7 @@ from hd_diag.replay.map_builder import MapBuilder
 from hd_diag.replay.preparation import compile_apart, prepare
 from hd_diag.replay.recorded_monitor import Session
 from hd_diag.ros.absences import absences
-from hd_diag.ros.arguments import check_arguments, parameter_files, read_in_every_namespace, reason
+from hd_diag.ros.arguments import check_arguments, parameter_files, read_in_every_namespace, reason, unread
 from hd_diag.ros.log_writer import LogWriter
 from hd_diag.ros.message_types import definition_of
 from hd_diag.ros.parameter_server import ParameterServer
@@ -58,7 +57,9 @@ from hd_diag.streams.rules import CLOCK_JUMP
 
 _QOS = RELIABLE._replace(depth=INPUT_DEPTH)
 _LOOP_PERIOD = 0.05  # longest sleep between looks at the clock, the log and finished maps [s]
-_DRAIN_PERIOD = 0.01  # between the times at which all is taken that DDS holds, and their greatest length [s]
+_DRAIN_PERIOD = 0.01  # longest time in which what DDS holds is taken [s]
+_GATHER = 0.004  # from some samples to the next, while these come faster [s]
+_TOGETHER = 64  # most messages that are processed at once
 _BEHIND = 0.1  # age of a sample from which on the node does less of the rest [s]
 _CATCH_UP = 0.5  # longest that a change waits for samples of before [s]
 _LEAST_SHARE = 2.0**-12
@@ -105,7 +106,7 @@ class DiagnosticNode(Node):
             for source, reader in zip(self._sources, self._readers, strict=True)
         ]
         self._seen = Publishers(self, self._inputs)
-        self._told_lost, self._busy, self._drained, self._paced = 0, 0.0, 0.0, 0.0
+        self._told_lost, self._busy, self._worked, self._paced = 0, 0.0, 0.0, 0.0
         for joint in config.joints:
             if joint.signals.temperature is None:
                 take = partial(self._survive, "a temperature was dropped", self._temperature, joint.name)
@@ -143,31 +144,26 @@ class DiagnosticNode(Node):
         return max(0.0, self._next_look - now)
 
     def spin_once(self, executor: Any) -> None:
-        """Do what is due, take what has come, work on the oldest sample; the node survives it all."""
+        """Do what is due, take what has come, work on the oldest samples; the node survives it all.
+
+        Samples gather for a moment after those before: taken together they cost a third. One that comes
+        later, as at a lower rate, does not wait.
+        """
         pause = self.housekeeping()
         try:
+            if not self._waiting:
+                time.sleep(max(0.0, min(pause, self._worked + _GATHER - time.monotonic())))
             executor.spin_once(timeout_sec=0.0 if self._waiting else pause)
-            now = time.monotonic()
-            if now - self._drained > _DRAIN_PERIOD:  # what waits in DDS may be dropped there, silently
-                taken = -1
-                while taken != self._waiting.taken and time.monotonic() - now < _DRAIN_PERIOD:
-                    taken = self._waiting.taken
-                    executor.spin_once(timeout_sec=0.0)
-                self._drained = time.monotonic()
+            now, taken = time.monotonic(), -1  # what waits in DDS may be dropped there, silently
+            while taken != self._waiting.taken and time.monotonic() - now < _DRAIN_PERIOD:
+                taken = self._waiting.taken
+                executor.spin_once(timeout_sec=0.0)
         except ExternalShutdownException:
             raise
         except Exception as error:  # samples wait: no pause, whatever goes wrong
             self.get_logger().error(f"a request was dropped: {error!r}", throttle_duration_sec=5.0)
         if self._waiting:
-            self._on_signals(*self._waiting.get())
-
-    def warn_of_files(self, sections: Mapping[str, Sequence[str]]) -> None:
-        """Warn of parameter files with no section for this node, which ROS takes without a word."""
-        own = self.get_fully_qualified_name()
-        for file, given in sections.items():
-            if not any(is_for(name, own) for name in given):
-                others = ", ".join(sorted(given)) or "nothing"
-                self.get_logger().warning(visible(f"{file} has no section for {own}, but {others}"))
+            self._work()
 
     def close(self) -> None:
         """Report once more and finish the log."""
@@ -207,18 +203,21 @@ class DiagnosticNode(Node):
         if share != before or is_over:
             self._paced, self._busy = now, 0.0
 
-    def _on_signals(self, source: SignalTopic, reader: Reader, data: bytes) -> None:
-        begin = time.perf_counter_ns()
-        error = self._survive("a message was dropped", self._signals, source, reader, data)
-        if error is not None:
+    def _work(self) -> None:
+        """Process the oldest samples that wait."""
+        begin, some = time.perf_counter_ns(), self._waiting.some(_TOGETHER)
+        error = self._survive("messages were dropped", self._signals, some)
+        for _ in some if error is not None else ():
             self._session.monitor.reject(f"{type(error).__name__}: {error}")
         self._latencies.append(time.perf_counter_ns() - begin)
         self._busy += self._latencies[-1] * 1e-9
+        self._worked = time.monotonic()
 
-    def _signals(self, source: SignalTopic, reader: Reader, data: bytes) -> None:
-        now = self._now()
-        self._log.write(source.topic, source.type_name, data, now, _QOS)
-        self._session.joint_state(now, data, time.monotonic_ns(), reader)
+    def _signals(self, some: Sequence[tuple[SignalTopic, Reader, bytes]]) -> None:
+        received, heard = np.array([self._now() for _ in some]), np.full(len(some), time.monotonic_ns())
+        for (source, _, data), now in zip(some, received.tolist(), strict=True):
+            self._log.write(source.topic, source.type_name, data, now, _QOS)
+        self._session.messages(received, [(reader, data) for _, reader, data in some], heard)
 
     def _temperature(self, joint: str, data: bytes) -> None:
         self._log.write(self._names[temperature_topic(joint)], TEMPERATURE, data, self._now())
@@ -280,7 +279,7 @@ class DiagnosticNode(Node):
         """Process the samples that wait before a change, for at most `_CATCH_UP`."""
         end = time.monotonic() + _CATCH_UP
         while self._waiting and time.monotonic() < end:
-            self._on_signals(*self._waiting.get())
+            self._work()
 
     def _build_maps(self, joints: Sequence[JointConfig]) -> None:
         for joint in joints:  # kept for the next report: beside a map's building it takes ten times as long
@@ -329,7 +328,8 @@ def _run(arguments: list[str], stopped: Sequence[int], config_file: str) -> int:
         sys.stderr.write(f"hd_diag: {visible(reason(arguments, error))}\n")
         try_shutdown()
         return 2
-    node.warn_of_files(sections)
+    for said in unread(sections, node.get_fully_qualified_name()):
+        node.get_logger().warning(said)
     executor = EventsExecutor()
     executor.add_node(node)
     sys.setswitchinterval(_SWITCH_INTERVAL)

@@ -178,6 +178,10 @@ class Waiting:
         self._bytes -= len(message[-1]) + _OBJECTS
         return message
 
+    def some(self, most: int) -> list[tuple[SignalTopic, Reader, bytes]]:
+        """Remove and give the oldest messages, at most so many."""
+        return [self.get() for _ in range(min(most, len(self)))]
+
 
 def subscribe_temperature(node: Node, joint: str, take: Callable[[bytes], Any]) -> None:
     """Subscribe to a joint's temperature; `take` takes each message in CDR."""
