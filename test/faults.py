@@ -337,6 +337,10 @@ both angles in degrees | diagnose | code 2; says so first
     test_signal_findings.py::test_both_angles_in_degrees
 a torque in another unit, such as N mm | diagnose | code 2; asks for its unit first
     test_signal_findings.py::test_a_torque_that_no_gear_bears
+a torque behind a low-pass | ripple | no bound for what the filter takes off: its corner, and how slow to move
+    test_ripple_limits.py::test_what_a_filter_takes_off_is_not_denied
+a torque that is late | ripple | the delay is said; the lines are given without it
+    test_ripple_limits.py::test_a_late_torque_is_said_and_its_lines_repeat
 a ratio of the wrong sign | diagnose | code 2; tells the ratio that the angles have
     test_signal_findings.py::test_a_ratio_of_the_wrong_sign_is_not_taken_for_a_late_output
 input and output swapped | diagnose | code 2; asks whether they are

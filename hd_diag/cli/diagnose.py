@@ -140,6 +140,8 @@ def ripple(records: Records, json_file: str | None) -> int:
         tables.append(Table(*ripple_verdict.TITLES, title=f"{joint.name}: torque over position"))
         for line in (*found.lines, *found.others):
             tables[-1].add_row(*ripple_verdict.row(line))
+        for one in found.unseen:
+            tables[-1].add_row(f"{one.order:g}", "not seen here")
         content = ripple_verdict.as_json(found, joint.name) | motion.stamps.reported
         return content, [*motion.stamps.lines, ripple_verdict.sentence(found)], None
 

@@ -60,6 +60,8 @@ class Line:
         Length of the mean of the runs' phases, weighted by amplitude: 1 if all are the same.
     repeats : bool or None
         Whether it is the same in every recording, of one in every run; None where there is only one.
+    filtered : bool
+        Whether it was found where a filter takes waves off: it is larger by what is not known.
     """
 
     order: float
@@ -74,6 +76,7 @@ class Line:
     agreement: float
     repeats: bool | None
     records: tuple[RecordedLine, ...]
+    filtered: bool = False
 
 
 def lines_at(

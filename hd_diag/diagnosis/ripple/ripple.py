@@ -8,24 +8,47 @@ torque shows what sensor, motor, friction and gear do together.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import median_filter
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.record import RecordError
+from hd_diag.diagnosis.ripple.band import PASSING, Band, band
+from hd_diag.diagnosis.ripple.delay import Delay, found_delay, late
 from hd_diag.diagnosis.ripple.lines import BESIDE, LEAST_WINDOWS, Line, lines_at
-from hd_diag.diagnosis.ripple.windows import TURNS, Windows, windows
+from hd_diag.diagnosis.ripple.windows import TURN, TURNS, Windows, windows
 from hd_diag.model.transmission_error import Kinematics
 
 MULTIPLES = (1.0, 2.0, 4.0)
 """Periods per turn of the wave generator: itself, its two lobes, and their double."""
 
+_PUBLISH = "the robot's driver would have to publish effort, or the current"
+_TOO_FEW = "the samples are too far apart to resolve its waves; record faster, or"
 _LOWEST, _HIGHEST = 0.3, 4.5  # of the spectrum, per turn of the wave generator
 _MOST_WINDOWS = 200  # that a spectrum is made of
 _MOST_OTHERS = 3
 _WIDTH = 1.5  # of a line, in periods over the reach
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """An order of the gear that the record cannot hold.
+
+    Attributes
+    ----------
+    order, frequency : float
+        Periods per turn of the output; of its wave, in the middle of the record [Hz].
+    corner, slower : float
+        Of the filter that takes it off [Hz], inf where the samples are too far apart; speed of the output
+        below which it would be seen [rad/s].
+    """
+
+    order: float
+    frequency: float
+    corner: float
+    slower: float
 
 
 @dataclass(frozen=True)
@@ -40,6 +63,12 @@ class Ripple:
         Per turn of the output; amplitude of the mean over the windows [N m].
     turns, reach : float
         Of the wave generator that the windows cover; of the output from end to end.
+    unseen : tuple of Unseen
+        Orders of the gear that the record cannot hold.
+    corner : float
+        Of a filter of the torque [Hz]; inf where none is seen.
+    delay : Delay or None
+        Of the torque against the angle, without which the lines are given; None where none was found.
     """
 
     ratio: float
@@ -52,6 +81,9 @@ class Ripple:
     records: int
     turns: float
     reach: float
+    unseen: tuple[Unseen, ...]
+    corner: float
+    delay: Delay | None
 
     @property
     def found(self) -> tuple[Line, ...]:
@@ -78,30 +110,38 @@ def ripple(
     RecordError
         Where the motion is too short, the samples are too far apart, or the torque does not change.
     """
-    if torque is None or float(np.ptp(torque)) == 0.0:
-        what = "is not in it" if torque is None else "never changes"
-        raise RecordError(
-            f"the torque {what}: the robot's driver would have to publish effort, or the current"
-        )
-    size = abs(kinematics.ratio)
-    whole = windows(time, np.sign(kinematics.ratio) * input_angle, torque, record)
+    if torque is None:
+        raise RecordError(f"the torque is not in it: {_PUBLISH}")
+    kept = np.flatnonzero(np.isfinite(time) & np.isfinite(input_angle) & np.isfinite(torque))
+    if not kept.size:
+        raise RecordError("no row has a time, an angle and a torque that are numbers")
+    time, torque, record = time[kept], torque[kept], record[kept]
+    if float(np.ptp(torque)) == 0.0:
+        raise RecordError(f"the torque never changes: {_PUBLISH}")
+    size, angle = abs(kinematics.ratio), np.sign(kinematics.ratio) * input_angle[kept]
+    whole = windows(time, angle, torque, record)
     if whole.size < LEAST_WINDOWS:
         raise RecordError(
             f"too little motion: {whole.size} times {TURNS:g} turns of the wave generator in one direction "
             f"({360.0 * TURNS / size:.0f}° of the output), {LEAST_WINDOWS} are needed"
         )
-    seen_from_output = 1.0 if kinematics.output == "flexspline" else -1.0
-    lines = []
+    shift = (1.0 if kinematics.output == "flexspline" else -1.0) / size
+    passed = band(time, angle, torque, whole.rows, MULTIPLES)
+    delay = found_delay(_within(whole, passed), MULTIPLES, shift)
+    if delay is not None:
+        whole = windows(time, late(time, angle, record, delay.value), torque, record)
+    seen = _within(whole, passed)
+    lines, unseen = list[Line](), list[Unseen]()
     for multiple in MULTIPLES:
-        shifts = (0.0, multiple * seen_from_output / size)
-        lines += lines_at(whole, multiple, size, shifts, len(MULTIPLES))
+        own = multiple, size, (0.0, multiple * shift), len(MULTIPLES)
+        if not (found := lines_at(seen, *own)):
+            unseen.append(_unseen(whole, passed, multiple, size))
+            found = [replace(line, filtered=True) for line in lines_at(whole, *own) if line.found]
+        lines += found
     if not lines:
-        raise RecordError(
-            f"the samples are too far apart to resolve waves of {size:g} per output turn: record faster, or "
-            "move more slowly"
-        )
-    orders, spectrum = _spectrum(whole)
-    others = _others(whole, orders, spectrum, lines, size)
+        raise RecordError(not_seen(unseen))
+    orders, spectrum = _spectrum(seen)
+    others = _others(seen, orders, spectrum, lines, size)
     return Ripple(
         size,
         tuple(lines),
@@ -113,7 +153,39 @@ def ripple(
         int(np.unique(whole.record).size),
         TURNS * whole.size,
         whole.reach / size,
+        tuple(unseen),
+        passed.corner,
+        delay,
     )
+
+
+def _within(whole: Windows, passed: Band) -> Windows:
+    """Windows that tell no more than the torque's band holds."""
+    turns = np.maximum(np.abs(whole.speed), 1e-300) / TURN
+    return replace(whole, highest=np.minimum(whole.highest, passed.seen / turns))
+
+
+def _unseen(whole: Windows, passed: Band, multiple: float, ratio: float) -> Unseen:
+    """Why the windows do not tell an order per turn of the input."""
+    turns, highest = np.abs(whole.speed) / TURN, multiple + BESIDE[1] / TURNS
+    usual = float(np.median(turns))
+    by_samples = bool(np.median(whole.highest) < highest)
+    limit = float(np.median(whole.highest * turns)) if by_samples else np.inf
+    slower = min(limit, PASSING * passed.corner) / highest * TURN / ratio
+    return Unseen(multiple * ratio, multiple * usual, np.inf if by_samples else passed.corner, slower)
+
+
+def not_seen(unseen: Sequence[Unseen]) -> str:
+    """Why orders cannot be seen in a record, in a sentence or two; nothing where there are none."""
+    told = []
+    for by_filter in (True, False):
+        own = [one for one in unseen if np.isfinite(one.corner) == by_filter]
+        if own:
+            orders = ", ".join(f"{one.order:g}" for one in own)
+            why = f"the torque is filtered at about {own[0].corner:.2g} Hz;" if by_filter else _TOO_FEW
+            slower = f"move slower than {', '.join(f'{one.slower:.2g}' for one in own)} rad/s"
+            told.append(f"{orders} per output turn cannot be seen here: {why} {slower}")
+    return ". ".join(told)
 
 
 def _spectrum(whole: Windows) -> tuple[Floats, Floats]:

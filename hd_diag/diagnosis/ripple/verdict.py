@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from hd_diag.diagnosis.ripple.lines import FALSE_ALARM, Line
-from hd_diag.diagnosis.ripple.ripple import Ripple
+from hd_diag.diagnosis.ripple.ripple import Ripple, not_seen
 from hd_diag.formatting import json_ready, number, si, spread_number
 
 TITLES = ("per output turn", "amplitude [N m]", "phase", "runs agree", "repeats", "or")
@@ -28,7 +28,10 @@ def as_json(found: Ripple, joint: str) -> dict[str, Any]:
             "output_turns": found.reach,
         },
         "false_alarm": FALSE_ALARM,
+        "filter": {"corner": found.corner},
+        "delay": None if found.delay is None else found.delay._asdict(),
         "lines": [_line(line) for line in found.lines],
+        "unseen": [vars(one) for one in found.unseen],
         "others": [_line(line) for line in found.others],
         "verdict": sentence(found),
     }
@@ -52,6 +55,15 @@ def sentence(found: Ripple) -> str:
     if found.others:
         question = "" if found.found else " Is the ratio right?"
         text += f" Lines that are none of its orders: {_listed(found.others)}.{question}"
+    hidden = [one for one in found.unseen if one.order not in {line.order for line in found.found}]
+    if hidden:
+        text += f" {not_seen(hidden)}."
+    if any(line.filtered for line in found.found):
+        text += f" The torque is filtered at about {found.corner:.2g} Hz: lines that it takes off are larger."
+    if found.delay is not None:
+        late = "late" if found.delay.value > 0.0 else "early"
+        value = spread_number(1e3 * abs(found.delay.value), 1e3 * found.delay.std, "ms")
+        text += f" The torque is {value} {late} against the angle; the lines are given without that."
     if found.found and found.runs == 1:
         text += " All of it is one run: a vibration in time would look the same."
     return text
@@ -59,7 +71,8 @@ def sentence(found: Ripple) -> str:
 
 def _listed(lines: tuple[Line, ...]) -> str:
     return ", ".join(
-        f"{number(line.order)} per output turn ({si(line.amplitude, line.std, 'N m')}"
+        f"{number(line.order)} per output turn ({'at least ' if line.filtered else ''}"
+        f"{si(line.amplitude, line.std, 'N m')}"
         f"{', with the sign of the direction' if line.reverses else ''}"
         f"{', not repeated' if line.repeats is False else ''})"
         for line in lines
@@ -76,7 +89,7 @@ def row(line: Line) -> tuple[str, ...]:
     alike = (number(other) + (", reverses" if reverses else "") for other, reverses in line.alike)
     return (
         order,
-        spread_number(line.amplitude, line.std, ""),
+        f"{'≥ ' if line.filtered else ''}{spread_number(line.amplitude, line.std, '')}",
         phase,
         f"{line.agreement:.2f}",
         repeats,

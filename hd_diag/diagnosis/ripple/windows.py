@@ -35,8 +35,10 @@ class Windows:
     phase, rest, weight : ndarray, shape (s, c)
         Input angle [rad]; torque less what is smooth over position and time [N m]; of a cell, by Hann's
         window over the travel; the sum is 2.
-    direction, middle : ndarray, shape (s,)
-        1 or -1; mean input angle [rad].
+    direction, middle, speed : ndarray, shape (s,)
+        1 or -1; mean input angle [rad]; mean speed of the input over the travel, signed [rad/s].
+    rows : ndarray of int64, shape (s, 2)
+        First row of the samples, and the one after the last.
     run, record : ndarray of int64, shape (s,)
         Number of the motion without a turn or a rest that a window is of; of the recording.
     highest : ndarray, shape (s,)
@@ -48,6 +50,8 @@ class Windows:
     weight: Floats
     direction: Floats
     middle: Floats
+    speed: Floats
+    rows: Integers
     run: Integers
     record: Integers
     highest: Floats
@@ -97,7 +101,10 @@ def windows(time: Floats, input_angle: Floats, torque: Floats, record: Integers)
     way = np.sign(speed) * (np.abs(speed) > _SLOW * np.percentile(np.abs(speed), 95))
     run = numbered((np.diff(segment) != 0) | (np.diff(way) != 0.0))
     found = [
-        (*_cells(time[part], input_angle[part], torque[part], np.abs(speed[part])), way[a], run[a], record[a])
+        (
+            *_cells(time[part], input_angle[part], torque[part], np.abs(speed[part])),
+            *(way[a], run[a], record[a], (part.start, part.stop)),
+        )
         for begin, end in bounds(run)
         if way[begin] != 0.0
         for a, part in _parts(input_angle, begin, end)
@@ -107,9 +114,9 @@ def windows(time: Floats, input_angle: Floats, torque: Floats, record: Integers)
             f"too little motion, or too few samples of it: {float(np.ptp(input_angle)) / TURN:.3g} turns; "
             f"{TURNS:g} turns of the wave generator in one go are needed, {_LEAST_SAMPLES:g} samples each"
         )
-    phase, rest, weight, highest, way, run, record = map(np.array, zip(*found, strict=True))
+    phase, rest, weight, mean, highest, way, run, record, rows = map(np.array, zip(*found, strict=True))
     middle = np.sum(weight * phase, axis=1) / np.sum(weight, axis=1)
-    return Windows(phase, rest, weight, way, middle, run, record, highest)
+    return Windows(phase, rest, weight, way, middle, way * mean, rows, run, record, highest)
 
 
 def _parts(angle: Floats, begin: int, end: int) -> list[tuple[int, slice]]:
@@ -123,8 +130,8 @@ def _parts(angle: Floats, begin: int, end: int) -> list[tuple[int, slice]]:
 
 def _cells(
     time: Floats, angle: Floats, torque: Floats, speed: Floats
-) -> tuple[Floats, Floats, Floats, float]:
-    """Angle, rest and weight of each cell of a window (c,), and the highest order that it tells."""
+) -> tuple[Floats, Floats, Floats, float, float]:
+    """Angle, rest, weight of each cell of a window (c,), its mean speed, and the highest order it tells."""
     way = np.abs(angle - angle[0])
     place, moment = _unit(np.maximum.accumulate(way)), _unit(time)
     basis = np.hstack((legendre.legvander(place, _DEGREE), legendre.legvander(moment, _DEGREE)[:, 1:]))
@@ -134,10 +141,11 @@ def _cells(
     weight = np.bincount(index, speed * np.cos(0.5 * np.pi * place) ** 2, _CELLS)
     mean = [
         np.bincount(index, speed * values, _CELLS) / np.maximum(np.bincount(index, speed, _CELLS), 1e-300)
-        for values in (angle, torque - smooth)
+        for values in (angle, torque - smooth, speed)
     ]
     resolved = np.count_nonzero(np.diff(angle)) / (_LEAST_SAMPLES * float(way.max()) / TURN)
-    return mean[0], mean[1], 2.0 * weight / weight.sum(), resolved
+    share = weight / weight.sum()
+    return mean[0], mean[1], 2.0 * share, float(share @ mean[2]), resolved
 
 
 def _unit(values: Floats) -> Floats:
