@@ -213,6 +213,23 @@ def test_mesh_as_driven_is_the_reaction() -> None:
     assert told["transmission_error"] < 0.0 < told["torsion"]
 
 
+def test_mesh_gives_sections_whose_least_backlash_and_summed_load_stand_beside(tmp_path: Path) -> None:
+    assert "sections" not in mesh("--torque", "20")
+    path = tmp_path / "wide.yaml"
+    wide = {"joint_1.face_width": 11e-3, "joint_1.cup_length": 0.04, "joint_1.tilt.magnitude": 1e-3}
+    path.write_text(dump(resolve(wide)))
+    told = mesh("--config", path, "--torque", "20")
+    sections = told["sections"]
+    assert [each["z"] for each in sections] == pytest.approx([-z["z"] for z in reversed(sections)], abs=1e-15)
+    assert (len(sections), sections[0]["z"] < 0.0) == (5, True)
+    for sign in "+-":
+        apart = np.array([[np.inf if b is None else b for b in each["backlash"][sign]] for each in sections])
+        whole = [np.inf if b is None else b for b in told["backlash"][sign]]
+        assert whole == pytest.approx(apart.min(axis=0).tolist(), rel=1e-15)
+        together = np.sum([each["load"][sign] for each in sections], axis=0)
+        assert told["load"][sign] == pytest.approx(together.tolist(), rel=1e-12)
+
+
 def test_mesh_of_another_joint(tmp_path: Path) -> None:
     path = tmp_path / "two.yaml"
     path.write_text(dump(resolve({"joints": ["a", "b"], "b.ratio": -100.0})))

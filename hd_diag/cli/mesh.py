@@ -59,6 +59,12 @@ def moment(joint: JointConfig, input_angle: float, torque: float) -> dict[str, A
             "load": "N, normal to the flank",
         },
     }
+    places = drive.mesh.geometry.section_places.tolist()
+    if len(places) > 1:
+        apart = zip(places, state.section_backlash[0], state.section_load[0], strict=True)
+        content["sections"] = [
+            {"z": z, "backlash": _flanks(backlash), "load": _flanks(load)} for z, backlash, load in apart
+        ]
     return dict(json_ready(content))
 
 

@@ -19,10 +19,14 @@ Signs
     M           torque that turns the cup: sum of r cos(alpha) F over + flanks less that over - flanks [N m]
     alpha       pressure angle, positive where the flexspline pushes the circular spline outward [rad]
     E           housing eccentricity: displacement of the wave generator's centre, fixed in the housing [m]
+    tilt        gamma e^(i chi): lean of its axis in the housing; its centre is at E + tilt z [rad]
+    z           place of a section along the width from the middle one, positive to the open end [m]
     runout      part of that displacement that turns with the wave generator [m]
     s_0         arc offset of tooth 0 along the neutral curve [m]
 
 Nomenclature
+    c_k         harmonics of the neutral curve's support function R_b + sum c_k cos 2k mu [m]
+    L           cup length, from its bottom, which stays round, to the middle section [m]
     R_b         radius of the circle as long as the neutral curve [m]
     Z_R, Z_G    numbers of teeth of the flexspline and the circular spline
     r_0         datum radius from which the slot's x is measured [m]
