@@ -94,6 +94,23 @@ def all_cores():
     return f"all {cores()} cores, wall"
 
 
+def width(options):
+    """The paper's drive in sections along the width, a coned cup: a moment, and the map."""
+    turn, torque, plane = np.linspace(0.0, 2 * np.pi, BATCH, endpoint=False), np.full(BATCH, TORQUE), None
+    for sections in (1, 3, 5):
+        geometry = drives.geometry(face_width=0.011, cup_length=0.04, sections=sections)
+        own = dataclasses.replace(mesh(), geometry=geometry)
+        each, took = median_time(torsion, own, turn, torque) / BATCH, cpu_time(build, own, MAP_TORQUE)[1]
+        plane = plane or each
+        told = f"{sections} section{'s' * (sections > 1)}"
+        aims = {"aim": 5, "aim_unit": "x"} if sections > 1 else {}
+        yield {
+            "what": f"{told}: torsion of a moment",
+            **{"value": each * US, "unit": "us", "ratio": each / plane, "against": "one section", **aims},
+        }
+        yield {"what": f"{told}: map", "value": took, "unit": "s", "aim": 1, "aim_unit": "s"}
+
+
 def maps(options):
     """Building the map of the transmission error, and predictions by it."""
     table, took = cpu_time(build, mesh(), MAP_TORQUE)
@@ -260,6 +277,7 @@ def tolerance(options):
 
 SECTIONS = {
     "moment": moment,
+    "width": width,
     "maps": maps,
     "run_time": run_time,
     "growth": growth,

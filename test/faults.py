@@ -222,6 +222,9 @@ MESSAGES: dict[str, tuple[Callable[[int], bytes], str]] = {
 VALUES: list[tuple[dict[str, Any], str]] = [
     ({"elbow.eccentricity.magnitude": float("nan")}, "elbow.eccentricity.magnitude: expected a number"),
     ({"elbow.eccentricity.magnitude": 0.9e-3}, "strikes the circular spline"),
+    ({"elbow.tilt.magnitude": 1e-3}, "give face_width and sections"),
+    ({"elbow.sections": 3}, "give face_width [m]"),
+    ({"elbow.neutral_curve.deformation": 1e-4}, "needs neutral_curve.shape, one of ellipse"),
     ({"elbow.ratio": 80.0}, "ratio 80 does not fit"),
     ({"elbow.tooth_compliance": "soft"}, "elbow.tooth_compliance: expected a number"),
     ({"elbow.flexspline_tooth.addendum_center": [1e-3]}, "expected two numbers"),
