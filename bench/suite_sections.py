@@ -103,7 +103,7 @@ def width(options):
         each, took = median_time(torsion, own, turn, torque) / BATCH, cpu_time(build, own, MAP_TORQUE)[1]
         plane = plane or each
         told = f"{sections} section{'s' * (sections > 1)}"
-        aims = {"aim": 5, "aim_unit": "x"} if sections > 1 else {}
+        aims = {"aim": round(5 * plane * US), "aim_unit": "us"} if sections > 1 else {}
         yield {
             "what": f"{told}: torsion of a moment",
             **{"value": each * US, "unit": "us", "ratio": each / plane, "against": "one section", **aims},
