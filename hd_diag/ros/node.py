@@ -146,7 +146,7 @@ class DiagnosticNode(Node):
     def spin_once(self, executor: Any) -> None:
         """Do what is due, take what has come, work on the oldest samples; the node survives it all.
 
-        Samples gather for a moment after those before: taken together they cost a third. One that comes
+        Samples gather for a moment after those before: taken together each costs about half. One that comes
         later, as at a lower rate, does not wait.
         """
         pause = self.housekeeping()
