@@ -10,6 +10,7 @@ from typing import Any
 from hd_diag.config.parameters import Value, flatten
 from hd_diag.drive import Drive
 from hd_diag.model.cams import CAMS, Cam
+from hd_diag.model.flank_chain import FlankChain, chain_of_points
 from hd_diag.model.geometry import Geometry
 from hd_diag.model.mesh import Mesh
 from hd_diag.model.tooth_profile import DoubleArc
@@ -19,6 +20,8 @@ from hd_diag.model.transmission_error import Kinematics
 _NAMES = {
     "flexspline_root": "flexspline_tooth.root",
     "flexspline_tip": "flexspline_tooth.tip",
+    "flexspline_tooth.numbers": "flexspline_tooth.chain",
+    "circular_spline_slot.numbers": "circular_spline_slot.chain",
 }
 
 
@@ -54,7 +57,15 @@ def _cam(own: Mapping[str, Any]) -> Cam:
     return found
 
 
-def _flank(own: Mapping[str, Any], name: str) -> DoubleArc:
+def _flank(own: Mapping[str, Any], name: str) -> DoubleArc | FlankChain:
+    points, chain = (tuple(own[f"{name}.{way}"]) for way in ("points", "chain"))
+    try:
+        if len(points) > 1:
+            return chain_of_points(points)
+        if len(chain) > 1:
+            return FlankChain(chain)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from error
     radii = (own[f"{name}.{arc}_radius"] for arc in ("addendum", "dedendum"))
     centers = (tuple(own[f"{name}.{arc}_center"]) for arc in ("addendum", "dedendum"))
     return DoubleArc(*radii, *centers)

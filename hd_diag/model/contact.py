@@ -11,7 +11,8 @@ import numpy as np
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.model import kernel
-from hd_diag.model.kernel.contact import Touch, close
+from hd_diag.model.kernel.chain import first_contact
+from hd_diag.model.kernel.contact import Touch
 from hd_diag.model.kernel.mesh_data import Constants, reach, width
 from hd_diag.model.mesh import Mesh
 from hd_diag.model.neutral_curve import tooth_axes
@@ -64,7 +65,7 @@ def contacts(mesh: Mesh, wave_generator_angle: Floats, compiled: bool = False, l
     number of teeth: the other is the same.
     """
     turn = np.asarray(wave_generator_angle, dtype=np.float64)
-    solve: Any = partial(_compiled if compiled else close, mesh.data.constants)
+    solve: Any = partial(_compiled if compiled else first_contact, mesh.data.constants)
     firsts = range(0, max(turn.size, 1), _BLOCK)
     blocks = [_contacts(mesh, turn[first : first + _BLOCK], solve, lobes) for first in firsts]
     return Contact(*map(np.concatenate, zip(*blocks, strict=True)))
@@ -107,7 +108,7 @@ def _contacts(
 
 
 def _compiled(c: Constants, height: Floats, offset: Floats) -> Touch:
-    """As :func:`close`."""
+    """As :func:`first_contact`."""
     rows = np.broadcast_arrays(height, offset)
     found = kernel.entry.touches(c, *(np.ascontiguousarray(row).ravel() for row in rows))
     return Touch(*found.reshape(-1, *rows[0].shape))

@@ -10,6 +10,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.model.cams import Cam, curve_on
+from hd_diag.model.flank_chain import FlankChain
 from hd_diag.model.neutral_curve import NeutralCurve
 from hd_diag.model.tooth_profile import DoubleArc
 
@@ -24,11 +25,11 @@ class Geometry:
         Z_R and Z_G.
     neutral_curve : Cam
         What gives the flexspline's neutral layer its shape, in the middle section.
-    flexspline_tooth : DoubleArc
+    flexspline_tooth : DoubleArc or FlankChain
         Flank in the tooth frame; x from the neutral layer [m].
     flexspline_root, flexspline_tip : float
         Where the flank begins and ends: x above the neutral layer [m].
-    circular_spline_slot : DoubleArc
+    circular_spline_slot : DoubleArc or FlankChain
         Wall of the slot; x from the datum radius [m].
     circular_spline_datum : float
         r_0, radius from which the slot's x is measured [m].
@@ -51,10 +52,10 @@ class Geometry:
     flexspline_teeth: int
     circular_spline_teeth: int
     neutral_curve: Cam
-    flexspline_tooth: DoubleArc
+    flexspline_tooth: DoubleArc | FlankChain
     flexspline_root: float
     flexspline_tip: float
-    circular_spline_slot: DoubleArc
+    circular_spline_slot: DoubleArc | FlankChain
     circular_spline_datum: float
     circular_spline_tip_radius: float
     face_width: float = 0.0
@@ -123,8 +124,10 @@ class Geometry:
 
     @cached_property
     def slot_end(self) -> float:
-        """Height above the datum at which the slot's wall meets the slot's axis [m]."""
+        """Height above the datum at which the slot's wall meets the slot's axis, or a chain ends [m]."""
         slot = self.circular_spline_slot
+        if isinstance(slot, FlankChain):
+            return slot.end
         return slot.addendum_center[0] + math.sqrt(slot.addendum_radius**2 - slot.addendum_center[1] ** 2)
 
 
@@ -155,7 +158,21 @@ def _check_width(geometry: Geometry) -> None:
         )
 
 
-def _check_flank(name: str, flank: DoubleArc, start: float, end: float) -> None:
+def _check_flank(name: str, flank: DoubleArc | FlankChain, start: float, end: float) -> None:
+    if isinstance(flank, DoubleArc):
+        _check_double_arc(name, flank, start, end)
+    elif not flank.covers(start, end):
+        raise ValueError(
+            f"{name}: the chain runs from {flank.start:.6g} to {flank.end:.6g} m, the flank from "
+            f"{start:.6g} to {end:.6g} m"
+        )
+    if not (flank.half_width(start) > 0 and flank.half_width(end) > 0):
+        raise ValueError(
+            f"{name}: the flank does not reach from {start:.6g} to {end:.6g} m, or its sides cross"
+        )
+
+
+def _check_double_arc(name: str, flank: DoubleArc, start: float, end: float) -> None:
     lengths = (flank.addendum_radius, flank.dedendum_radius, *flank.addendum_center, *flank.dedendum_center)
     if not all(math.isfinite(value) for value in (*lengths, start, end)):
         raise ValueError(f"{name}: every length must be finite")
@@ -170,14 +187,12 @@ def _check_flank(name: str, flank: DoubleArc, start: float, end: float) -> None:
             f"{name}: the flank must run root, inner arc, tangent, outer arc, tip; heights are "
             f"{start:.6g}, {low:.6g}, {high:.6g}, {end:.6g} m"
         )
-    if not (flank.half_width(start) > 0 and flank.half_width(end) > 0):
-        raise ValueError(
-            f"{name}: the flank does not reach from {start:.6g} to {end:.6g} m, or its sides cross"
-        )
 
 
 def _check_mating(geometry: Geometry) -> None:
-    slot = geometry.circular_spline_slot
+    tooth, slot = geometry.flexspline_tooth, geometry.circular_spline_slot
+    if isinstance(tooth, FlankChain) or isinstance(slot, FlankChain):
+        return
     for outer, inner, name in (
         ("circular_spline_slot", "flexspline_tooth", "addendum_radius"),
         ("flexspline_tooth", "circular_spline_slot", "dedendum_radius"),

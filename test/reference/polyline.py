@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq, minimize_scalar
 
 Array = NDArray[np.float64]
@@ -35,11 +36,23 @@ class Profile:
 
 
 @dataclass(frozen=True)
+class Outline:
+    """Any flank: x and y of one point after the other [m], dense enough to be straight in between."""
+
+    numbers: tuple[float, ...]
+
+    def part(self, x_inner: float, x_outer: float, points: int) -> Array:
+        """Polyline (2, points) from one height to another, a cubic through the points."""
+        x = np.linspace(x_inner, x_outer, points)
+        return np.array([x, CubicSpline(self.numbers[::2], self.numbers[1::2])(x)])
+
+
+@dataclass(frozen=True)
 class Drive:
     """All numbers of the paper's example (Table 1 and section 4), and the two it does not print [SI]."""
 
-    tooth: Profile = Profile(0.2031e-3, 0.5046e-3, 0.7625e-3, 0.6929e-3, 0.0548e-3, 0.6557e-3)
-    slot: Profile = Profile(0.2313e-3, 0.4357e-3, 1.2201e-3, 1.2791e-3, 0.0782e-3, 0.5886e-3)
+    tooth: Profile | Outline = Profile(0.2031e-3, 0.5046e-3, 0.7625e-3, 0.6929e-3, 0.0548e-3, 0.6557e-3)
+    slot: Profile | Outline = Profile(0.2313e-3, 0.4357e-3, 1.2201e-3, 1.2791e-3, 0.0782e-3, 0.5886e-3)
     tooth_root: float = 0.4e-3
     tooth_tip: float = 0.8519e-3
     semi_major: float = 30.2584e-3
@@ -82,8 +95,10 @@ def _joint_angle(p: Profile) -> float:
 
 
 @functools.lru_cache(maxsize=64)
-def _flank(p: Profile, x_inner: float, x_outer: float, points: int) -> Array:
+def _flank(p: Profile | Outline, x_inner: float, x_outer: float, points: int) -> Array:
     """Polyline (2, points) [m] from x_inner to x_outer: dedendum arc, straight line, addendum arc."""
+    if isinstance(p, Outline):
+        return p.part(x_inner, x_outer, points)
     u = _joint_angle(p)
     sin_in = (p.dedendum_centre - x_inner) / p.dedendum_radius
     sin_out = (x_outer - p.addendum_centre) / p.addendum_radius
@@ -107,6 +122,13 @@ def _flank(p: Profile, x_inner: float, x_outer: float, points: int) -> Array:
 def _slot_polar(drive: Drive, points: int) -> tuple[Array, Array]:
     """Radius [m] and angle [rad] of the + wall of a slot, from the tip circle to the slot's axis."""
     p, datum = drive.slot, drive.circular_spline_datum
+    if isinstance(p, Outline):
+        x, y = p.part(p.numbers[0], p.numbers[-2], 4 * points)
+        inside = np.hypot(datum + x, y) >= drive.circular_spline_tip_radius
+        first = int(np.argmax(inside))
+        radius, angle = np.hypot(datum + x, y), np.arctan2(y, datum + x)
+        tip = float(np.interp(drive.circular_spline_tip_radius, radius, angle))
+        return np.append(drive.circular_spline_tip_radius, radius[first:]), np.append(tip, angle[first:])
 
     def beyond_tip(x: float) -> float:
         y = p.dedendum_offset - np.sqrt(max(p.dedendum_radius**2 - (x - p.dedendum_centre) ** 2, 0.0))

@@ -16,7 +16,7 @@ import numba
 from numba.core.bytecode import FunctionIdentity
 from numba.extending import overload, register_jitable
 
-import hd_diag.model.kernel.contact  # noqa: F401  (has all formulas)
+import hd_diag.model.kernel.chain  # noqa: F401  (with contact it has all formulas)
 from hd_diag.model.kernel import formula
 
 

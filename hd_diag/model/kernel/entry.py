@@ -12,8 +12,8 @@ import math
 import numpy as np
 
 from hd_diag.arrays import Complexes, Floats, Integers
+from hd_diag.model.kernel.chain import first_contact
 from hd_diag.model.kernel.compiler import entry_point
-from hd_diag.model.kernel.contact import close
 from hd_diag.model.kernel.interpolation import columns, interpolate
 from hd_diag.model.kernel.load_sharing import (
     arms,
@@ -66,7 +66,7 @@ def touches(c: Constants, height: Floats, offset: Floats) -> Floats:
     """First contacts (9, n), as of a `Touch`, of + flanks of teeth at heights and offsets (n,) [m]."""
     found = np.empty((9, height.size))
     for i in range(height.size):
-        touch = close(c, height[i], offset[i])
+        touch = first_contact(c, height[i], offset[i])
         for k in range(9):
             found[k, i] = touch[k]
     return found

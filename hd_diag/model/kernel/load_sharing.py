@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hd_diag.arrays import Floats, Integers
+from hd_diag.model.kernel.chain import close_chain
 from hd_diag.model.kernel.compiler import inline, part
 from hd_diag.model.kernel.contact import Touch, close
 from hd_diag.model.kernel.mesh_data import Constants, MeshData
@@ -92,20 +93,35 @@ def contacts_room(columns: int) -> Touch:
 
 @part
 def find(c: Constants, teeth: Teeth, count: int, found: Touch) -> None:
-    """Set the contacts of the first teeth, so many of them; the compiler does several at once."""
+    """Set the contacts of the first teeth, so many of them; the compiler does several double arcs at once."""
     height, offset = teeth.height, teeth.offset
     for flank in range(2):
-        sine, x, y = found.sine[flank], found.x[flank], found.y[flank]
-        normal_x, normal_y = found.normal_x[flank], found.normal_y[flank]
-        lever_height, lever_offset = found.lever_height[flank], found.lever_offset[flank]
-        lever_datum, datum = found.lever_datum[flank], found.datum[flank]
+        row = Touch(
+            found.sine[flank],
+            found.x[flank],
+            found.y[flank],
+            found.normal_x[flank],
+            found.normal_y[flank],
+            found.lever_height[flank],
+            found.lever_offset[flank],
+            found.lever_datum[flank],
+            found.datum[flank],
+        )
         side = 1.0 - 2.0 * flank
-        for j in range(count):
-            touch = close(c, height[j], side * offset[j])
-            sine[j], x[j], y[j] = touch.sine, touch.x, touch.y
-            normal_x[j], normal_y[j] = touch.normal_x, touch.normal_y
-            lever_height[j], lever_offset[j] = touch.lever_height, touch.lever_offset
-            lever_datum[j], datum[j] = touch.lever_datum, touch.datum
+        if c.tooth_chain.shape[0]:
+            for j in range(count):
+                _keep(row, j, close_chain(c, height[j], side * offset[j]))
+        else:
+            for j in range(count):
+                _keep(row, j, close(c, height[j], side * offset[j]))
+
+
+@inline
+def _keep(row: Touch, j: int, touch: Touch) -> None:
+    row.sine[j], row.x[j], row.y[j] = touch.sine, touch.x, touch.y
+    row.normal_x[j], row.normal_y[j] = touch.normal_x, touch.normal_y
+    row.lever_height[j], row.lever_offset[j] = touch.lever_height, touch.lever_offset
+    row.lever_datum[j], row.datum[j] = touch.lever_datum, touch.datum
 
 
 @inline

@@ -5,11 +5,12 @@ from __future__ import annotations
 import cmath
 import math
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hd_diag.arrays import Floats
+from hd_diag.model.flank_chain import FlankChain, chained
 from hd_diag.model.geometry import Geometry
 from hd_diag.model.kernel.formula import formula
 from hd_diag.model.neutral_curve import tooth_axes
@@ -49,7 +50,9 @@ class CommonTangent(NamedTuple):
 class Constants(NamedTuple):
     """Numbers of a geometry [m, rad]; the wall is placed about the circular spline's axis, the tooth is not.
 
-    ``wall_tip_datum`` is the derivative of the angle of the wall's tip by the datum radius [rad/m].
+    ``wall_tip_datum`` is the derivative of the angle of the wall's tip by the datum radius [rad/m]. Where a
+    flank is a chain both have rows (pieces, 7) of signed radius, centre or a line's unit normal, ends towards
+    root and tip; arcs and lines of double arcs are then not used.
     """
 
     curve_radius: float
@@ -72,6 +75,8 @@ class Constants(NamedTuple):
     wall_tip_datum: float
     flexspline_teeth: int
     circular_spline_teeth: int
+    tooth_chain: Floats
+    wall_chain: Floats
 
 
 class Tables(NamedTuple):
@@ -120,10 +125,15 @@ def width(c: Constants, angle: float) -> int:
     return min(int(2.0 * angle / c.tooth_pitch) + 1, c.flexspline_teeth // 2)
 
 
+_NO_CHAIN = np.zeros((0, 7))
+
+
 def blank() -> MeshData:
     """Numbers of the right types that no gear has: enough to compile for."""
     arc, line = Arc(*[1.0] * 4), CommonTangent(*[1.0] * 9)
-    constants = Constants._make([*[1.0] * 8, arc, arc, line, arc, arc, line, *[1.0] * 4, 0, 0])
+    constants = Constants._make(
+        [*[1.0] * 8, arc, arc, line, arc, arc, line, *[1.0] * 4, 0, 0, *[_NO_CHAIN] * 2]
+    )
     return MeshData(constants, Tables(np.ones((1, 3, 1)), *[np.ones(1)] * 6), 1.0, 0.0, 0j)
 
 
@@ -134,11 +144,16 @@ def numbers(geometry: Geometry) -> tuple[Constants, Tables]:
 
 
 def _constants(geometry: Geometry) -> Constants:
-    curve, datum = geometry.curve, geometry.circular_spline_datum
+    curve, datum, tip = geometry.curve, geometry.circular_spline_datum, geometry.circular_spline_tip_radius
     tooth, wall = geometry.flexspline_tooth, geometry.circular_spline_slot
-    wall_dedendum = _arc(wall.dedendum_center, wall.dedendum_radius, datum)
-    wall_tip = _wall_tip(wall_dedendum, geometry.circular_spline_tip_radius)
-    normal_x, normal_y = wall_tip.real - wall_dedendum.x, wall_tip.imag - wall_dedendum.y
+    tooth_chain, wall_chain = _chains(geometry)
+    wall_primitives = _primitives("wall", wall, datum)
+    if wall_chain.size:
+        wall_tip, normal = _chain_tip(wall_chain, tip)
+    else:
+        wall_dedendum = wall_primitives["wall_dedendum"]
+        wall_tip = _wall_tip(wall_dedendum, tip)
+        normal = wall_tip - complex(wall_dedendum.x, wall_dedendum.y)
     return Constants(
         curve_radius=curve.radius,
         tooth_pitch=geometry.tooth_pitch,
@@ -148,19 +163,63 @@ def _constants(geometry: Geometry) -> Constants:
         slack=JOINT_SLACK,
         tip_x=geometry.flexspline_tip,
         tip_y=tooth.half_width(geometry.flexspline_tip),
-        tooth_addendum=_arc(tooth.addendum_center, tooth.addendum_radius, 0.0),
-        tooth_dedendum=_arc(tooth.dedendum_center, tooth.dedendum_radius, 0.0),
-        tooth_line=_line(tooth, 0.0),
-        wall_addendum=_arc(wall.addendum_center, wall.addendum_radius, datum),
-        wall_dedendum=wall_dedendum,
-        wall_line=_line(wall, datum),
-        wall_tip=geometry.circular_spline_tip_radius,
+        **_primitives("tooth", tooth, 0.0),
+        **wall_primitives,
+        wall_tip=tip,
         wall_tip_x=wall_tip.real,
         wall_tip_y=wall_tip.imag,
-        wall_tip_datum=normal_x / (wall_tip.real * normal_y - wall_tip.imag * normal_x),
+        wall_tip_datum=normal.real / (wall_tip.real * normal.imag - wall_tip.imag * normal.real),
         flexspline_teeth=geometry.flexspline_teeth,
         circular_spline_teeth=geometry.circular_spline_teeth,
+        tooth_chain=tooth_chain,
+        wall_chain=wall_chain,
     )
+
+
+def _chains(geometry: Geometry) -> tuple[Floats, Floats]:
+    """Rows of both flanks where one is a chain; none where both are double arcs."""
+    flanks = geometry.flexspline_tooth, geometry.circular_spline_slot
+    if not any(isinstance(flank, FlankChain) for flank in flanks):
+        return _NO_CHAIN, _NO_CHAIN
+    datum = geometry.circular_spline_datum
+    tooth = chained(flanks[0], geometry.flexspline_root, geometry.flexspline_tip)
+    wall = chained(flanks[1], geometry.circular_spline_tip_radius - datum, geometry.slot_end)
+    return _rows(tooth, 0.0), _rows(wall, datum)
+
+
+def _rows(chain: FlankChain, datum: float) -> Floats:
+    """A chain as the kernels take it, moved outwards by a datum radius [m]; see `Constants`."""
+    table = np.zeros((len(chain.pieces), 7))
+    for row, piece in zip(table, chain.pieces, strict=True):
+        shift = datum if piece.radius else 0.0
+        row[:3] = piece.radius, piece.x + shift, piece.y
+        row[3:] = piece.start.real + datum, piece.start.imag, piece.end.real + datum, piece.end.imag
+    return table
+
+
+def _chain_tip(rows: Floats, tip: float) -> tuple[complex, complex]:
+    """Where a wall begins, x + iy about the axis [m], and its normal there."""
+    beyond = np.hypot(rows[:, 5], rows[:, 6]) >= tip
+    radius, x, y, *ends = rows[int(np.argmax(beyond))].tolist()
+    if not radius:
+        distance = x * ends[0] + y * ends[1]
+        normal = complex(x, y)
+        return normal * complex(distance, -math.sqrt(tip**2 - distance**2)), normal
+    center = complex(x, y)
+    half = (radius**2 - (abs(center) - tip) ** 2) / (4.0 * abs(center) * tip)
+    turn = math.copysign(2.0 * math.asin(math.sqrt(half)), radius)
+    place = cmath.rect(tip, cmath.phase(center) + turn)
+    return place, (place - center) / radius
+
+
+def _primitives(name: str, flank: DoubleArc | FlankChain, datum: float) -> dict[str, Any]:
+    """Arcs and line of a double arc; of a chain numbers that nothing uses."""
+    if isinstance(flank, FlankChain):
+        none = Arc(*[0.0] * 4), Arc(*[0.0] * 4), CommonTangent(*[0.0] * 9)
+        return dict(zip((f"{name}_addendum", f"{name}_dedendum", f"{name}_line"), none, strict=True))
+    arcs = (flank.addendum_center, flank.addendum_radius), (flank.dedendum_center, flank.dedendum_radius)
+    addendum, dedendum = (_arc(center, radius, datum) for center, radius in arcs)
+    return {f"{name}_addendum": addendum, f"{name}_dedendum": dedendum, f"{name}_line": _line(flank, datum)}
 
 
 def _tables(geometry: Geometry) -> Tables:
