@@ -50,19 +50,70 @@ class Claim(NamedTuple):
     holds: bool
 
 
-def figures(drive: Drive) -> list[tuple[str, str, Figure, tuple[Claim, ...]]]:
-    """File name, title, figure and claims of each figure."""
-    layer, teeth, tooth = neutral_layer(drive), teeth_at_once(drive), tooth_over_time(drive)
+class Study(NamedTuple):
+    """What is drawn: eccentricities [m], their direction from the long axis [rad], torque [N m] (0: rated).
+
+    The claims are the paper's: they are told of its own arrangement alone.
+    """
+
+    sizes: Floats = _SIZES
+    direction: float = 0.5 * np.pi
+    torque: float = 0.0
+
+    @property
+    def is_published(self) -> bool:
+        """Whether it is the paper's."""
+        return self.sizes is _SIZES and self.direction == 0.5 * np.pi and not self.torque
+
+
+PAPER = Study()
+
+
+class Drawn(NamedTuple):
+    """A figure: file name, title, picture, claims, and columns of its data by their names with units."""
+
+    name: str
+    title: str
+    figure: Figure
+    claims: tuple[Claim, ...]
+    data: dict[str, Floats]
+
+
+def figures(drive: Drive, study: Study = PAPER) -> list[Drawn]:
+    """Each figure of a drive."""
+    if study.torque:
+        drive = replace(drive, rated_torque=study.torque)
+    layer, teeth = neutral_layer(drive, study), teeth_at_once(drive, study)
+    tooth = tooth_over_time(drive, study)
     titles = (
         "Motion of the neutral layer (as Fig. 5)",
         "Backlash and load of all teeth at one moment (as Fig. 6)",
         "One tooth over time (as Fig. 7)",
     )
+    told = layer.claims, teeth.claims, tooth.claims
+    drawings = figure_5(layer), figure_6(teeth), figure_7(tooth)
+    around = {"direction [rad]": layer.direction} | _columns("displacement_change", "m", layer, layer.change)
+    data = around, _engaged_data("tooth", teeth), _engaged_data("wave_generator_angle [rad]", tooth)
     return [
-        ("figure_5", titles[0], figure_5(layer), layer.claims),
-        ("figure_6", titles[1], figure_6(teeth), teeth.claims),
-        ("figure_7", titles[2], figure_7(tooth), tooth.claims),
+        Drawn(f"figure_{number}", title, drawing, claims if study.is_published else (), columns)
+        for number, title, drawing, claims, columns in zip(
+            (5, 6, 7), titles, drawings, told, data, strict=True
+        )
     ]
+
+
+def _columns(name: str, unit: str, found: NeutralLayer | Engagement, rows: Floats) -> dict[str, Floats]:
+    """Rows (eccentricities, places) as columns, one for each eccentricity."""
+    sizes = found.eccentricity / _MICROMETRE
+    return {f"{name} at {size:.3g} um [{unit}]": row for size, row in zip(sizes, rows, strict=True)}
+
+
+def _engaged_data(place: str, found: Engagement) -> dict[str, Floats]:
+    backlash, load = (
+        _columns(name, unit, found, rows)
+        for name, unit, rows in (("backlash", "m", found.backlash), ("load", "N", found.load))
+    )
+    return {place: found.place} | backlash | load
 
 
 @dataclass(frozen=True)
@@ -123,24 +174,26 @@ class Engagement:
     claims: tuple[Claim, ...]
 
 
-def neutral_layer(drive: Drive) -> NeutralLayer:
+def neutral_layer(drive: Drive, study: Study = PAPER) -> NeutralLayer:
     """Fig. 5 for a drive."""
     stations = np.radians([0.0, 45.0, 90.0, 135.0])
     place = np.linspace(-np.pi / 2, np.pi / 2, 181)
-    both = np.stack([_radial(drive, place, stations[:, None] - place, e) for e in (0.0, _PUBLISHED)])
+    towards = study.sizes * np.exp(1j * study.direction)
+    pair = 0.0, towards[-1]
+    both = np.stack([_radial(drive, place, stations[:, None] - place, e) for e in pair])
     around = np.linspace(0.0, _TURN, 361)
-    rows = np.stack([_radial(drive, around, np.zeros(around.size), e) for e in _SIZES])
-    change = rows - rows[0]
+    rows = np.stack([_radial(drive, around, np.zeros(around.size), e) for e in (0.0, *towards)])
+    change = rows[1:] - rows[0]
     where = np.mod(tooth_axes(drive.mesh.geometry.curve, around)[0], _TURN)
     claims = _motion_claims(stations, both, where, change[-1])
-    return NeutralLayer(stations, place, both, where, change, _SIZES, claims)
+    return NeutralLayer(stations, place, both, where, change, study.sizes, claims)
 
 
-def _radial(drive: Drive, place: Floats, turned: Floats, eccentricity: float) -> Floats:
+def _radial(drive: Drive, place: Floats, turned: Floats, eccentricity: complex) -> Floats:
     """Radial displacement of points of the layer [m] at places from the long axis, it being turned [rad]."""
     curve = drive.mesh.geometry.curve
     angle, height, offset = tooth_axes(curve, place)
-    point = (height + 1j * offset) * np.exp(1j * (angle + turned)) + 1j * eccentricity
+    point = (height + 1j * offset) * np.exp(1j * (angle + turned)) + eccentricity
     return np.asarray(np.abs(point) - curve.radius)
 
 
@@ -165,12 +218,13 @@ def _motion_claims(stations: Floats, both: Floats, where: Floats, change: Floats
     )
 
 
-def teeth_at_once(drive: Drive) -> Engagement:
+def teeth_at_once(drive: Drive, study: Study = PAPER) -> Engagement:
     """Fig. 6 for a drive."""
     rows, teeth = _engaged(drive), drive.mesh.geometry.flexspline_teeth
     tooth = np.where(rows > teeth // 2, rows - teeth, rows)
-    backlash = np.stack([_free(drive, e) for e in _SIZES])
-    states = [_moment(drive, e, drive.rated_torque) for e in _SIZES]
+    towards = study.sizes * np.exp(1j * study.direction)
+    states = [_moment(drive, e, drive.rated_torque) for e in towards]
+    backlash = np.stack([_free(drive, e) for e in towards])
     load = np.stack([state.load[0].sum(axis=0) for state in states])
     claims = (
         *_backlash_claims(tooth, backlash, teeth),
@@ -178,7 +232,7 @@ def teeth_at_once(drive: Drive) -> Engagement:
         _load_claim(drive, states, load),
     )
     return Engagement(
-        _SIZES, tooth.astype(np.float64), backlash, load[:, rows], None, drive.rated_torque, claims
+        study.sizes, tooth.astype(np.float64), backlash, load[:, rows], None, drive.rated_torque, claims
     )
 
 
@@ -216,7 +270,7 @@ def _first_claim(drive: Drive) -> Claim:
 
 def first_interference(drive: Drive) -> float:
     """Eccentricity at which a tooth of the engagement region has no backlash left [m]; nan where none has."""
-    return _root(lambda e: float(np.nanmin(_free(drive, e))), 0.0, _MOST)
+    return _root(lambda e: float(np.nanmin(_free(drive, 1j * e))), 0.0, _MOST)
 
 
 def _published_datum(drive: Drive) -> float:
@@ -225,7 +279,9 @@ def _published_datum(drive: Drive) -> float:
 
     def least(shift: float) -> float:
         moved = replace(geometry, circular_spline_datum=geometry.circular_spline_datum + shift)
-        return float(np.nanmin(_free(replace(drive, mesh=replace(drive.mesh, geometry=moved)), _PUBLISHED)))
+        return float(
+            np.nanmin(_free(replace(drive, mesh=replace(drive.mesh, geometry=moved)), 1j * _PUBLISHED))
+        )
 
     return _root(least, -_DATUM_REACH, _DATUM_REACH)
 
@@ -252,10 +308,12 @@ def _load_claim(drive: Drive, states: list[MeshState], load: Floats) -> Claim:
     )
 
 
-def tooth_over_time(drive: Drive) -> Engagement:
+def tooth_over_time(drive: Drive, study: Study = PAPER) -> Engagement:
     """Fig. 7 for a drive."""
-    backlash, load = (np.stack(rows) for rows in zip(*(_passage(drive, -e) for e in _SIZES), strict=True))
-    near = _passage(drive, _PUBLISHED)
+    backlash, load = (
+        np.stack(rows) for rows in zip(*(_passage(drive, -e) for e in study.sizes), strict=True)
+    )
+    near = _passage(drive, study.sizes[-1])
     least, most = np.nanmin(backlash, axis=1) / _MICROMETRE, load.max(axis=1)
     nearest, greatest = float(np.nanmin(near[0])) / _MICROMETRE, float(near[1].max())
     claims = (
@@ -272,7 +330,7 @@ def tooth_over_time(drive: Drive) -> Engagement:
             bool(nearest < least[0] and greatest > most[0]),
         ),
     )
-    return Engagement(_SIZES, _PASSAGE, backlash, load, near, drive.rated_torque, claims)
+    return Engagement(study.sizes, _PASSAGE, backlash, load, near, drive.rated_torque, claims)
 
 
 def _passage(drive: Drive, eccentricity: float) -> tuple[Floats, Floats]:
@@ -288,9 +346,9 @@ def _placed(drive: Drive, eccentricity: complex, arc_offset: float) -> Drive:
     return Drive(mesh, Kinematics(-mesh.geometry.reduction), drive.rated_torque)
 
 
-def _moment(drive: Drive, eccentricity: float, torque: float) -> MeshState:
+def _moment(drive: Drive, eccentricity: complex, torque: float) -> MeshState:
     """The paper's initial moment: tooth 0 stays on the axis, so the layer's arc follows the eccentricity."""
-    placed = _placed(drive, complex(0.0, eccentricity), -eccentricity)
+    placed = _placed(drive, eccentricity, -eccentricity.imag)
     return mesh_state(placed, np.zeros(1), np.array([torque]))
 
 
@@ -301,7 +359,7 @@ def _engaged(drive: Drive) -> npt.NDArray[np.int64]:
     return np.arange(-reach, reach + 1) % teeth
 
 
-def _free(drive: Drive, eccentricity: float) -> Floats:
+def _free(drive: Drive, eccentricity: complex) -> Floats:
     """Backlash of the teeth near the long axis at that moment: the lesser of their two flanks [m]."""
     backlash = _moment(drive, eccentricity, 0.0).backlash[0]
     return np.asarray(np.fmin(backlash[0], backlash[1])[_engaged(drive)])
@@ -327,7 +385,7 @@ def figure_5(found: NeutralLayer) -> Figure:
     titled(top, f"Radial displacement [µm], none and {found.eccentricity[-1] * 1e6:.1f} µm")
     order = np.argsort(found.direction)
     direction = np.degrees(found.direction[order])
-    for colour, dashes, size, row in zip(SERIES, DASHES, found.eccentricity, change, strict=True):
+    for colour, dashes, size, row in zip(SERIES, DASHES, found.eccentricity, change, strict=False):
         bottom.plot(direction, row[order], color=colour, ls=dashes, label=f"{size * 1e6:.1f} µm")
     turn(bottom, "Where the point is [°]; the eccentricity points to 90°")
     titled(bottom, "Its change by eccentricity [µm]")
@@ -357,7 +415,7 @@ def figure_7(found: Engagement) -> Figure:
 def _engagement(found: Engagement, place: Floats, height: float, free: float) -> tuple[Figure, Axes, Axes]:
     """Backlash above, load below; the titles are still to come."""
     figure, (top, bottom) = sheet(height, 2, sharex=True)
-    rows = zip(SERIES, DASHES, found.eccentricity, found.backlash, found.load, strict=True)
+    rows = zip(SERIES, DASHES, found.eccentricity, found.backlash, found.load, strict=False)
     for colour, dashes, size, backlash, load in rows:
         top.plot(place, backlash * 1e6, color=colour, ls=dashes, label=f"{size * 1e6:.1f} µm")
         bottom.plot(place, load, color=colour, ls=dashes)

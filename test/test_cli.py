@@ -465,3 +465,28 @@ def test_installed_command(tmp_path: Path) -> None:
     assert (good.returncode, good.stderr) == (0, "")
     assert (bad.returncode, bad.stdout) == (2, "")
     assert bad.stderr == f"hd-diag: {tmp_path / 'none'}: cannot be read: No such file or directory\n"
+
+
+def test_a_mesh_is_swept_into_a_table_and_drawn(tmp_path: Path) -> None:
+    out, figure = tmp_path / "sweep.csv", tmp_path / "sweep.svg"
+    words = ("mesh", "--eccentricity-um", "12", "--direction-deg", "50")
+    for over, count in (("angle", 8 * 202 + 1), ("torque", 401)):
+        result = hd_diag(*words, "--torque", "9", "--input-angle", "0.4", "--sweep", over, "--out", out)
+        assert (result.exit_code, result.stderr) == (0, "")
+        header, *_ = out.read_text(encoding="utf-8").splitlines()
+        table = np.loadtxt(out, delimiter=",", skiprows=1)
+        assert len(table) == count
+        row = table[count // 3]
+        one = hd_diag(*words, "--input-angle", row[0], "--torque", row[1], "--json", "-")
+        told = json.loads(one.stdout)
+        for index, name in enumerate(header.split(",")):
+            key = name.partition(" ")[0]
+            if key in told:
+                assert row[index] == pytest.approx(told[key], rel=1e-6, abs=1e-12)
+    assert hd_diag(*words, "--out", out, "--figure", figure).exit_code == 0
+    teeth = np.genfromtxt(out, delimiter=",", names=True)
+    assert len(teeth) == 200
+    assert "Backlash of both flanks" in figure.read_text(encoding="utf-8")
+    assert_one_line_error(hd_diag("mesh", "--sweep", "angle"), "--sweep needs --out or --figure")
+    assert_one_line_error(hd_diag("mesh", "--eccentricity-um", "900"), "--eccentricity-um", "must add up to")
+    assert_one_line_error(hd_diag("mesh", "--eccentricity-um", "nan"), "--eccentricity-um must be a number")

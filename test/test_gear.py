@@ -39,6 +39,7 @@ from hd_diag.gears.page import Page
 from hd_diag.gears.page_fit import of_page as fitted
 from hd_diag.model.load_sharing import mesh_state
 from hd_diag.model.torsion import torsion, torsion_table
+from hd_diag.report.facts import settings
 from hd_diag.report.teeth import teeth_over_turn
 from hd_diag.ros.parameter_server import ParameterServer
 from hd_diag.tolerance import assembly
@@ -617,6 +618,18 @@ def test_a_name_needs_no_numbers_and_what_is_given_beats_it(tmp_path: Path) -> N
     assert (told["joint_1.gear.ratio"], told["joint_1.flexspline_teeth"]) == (101.0, 200)
     assert_one_line_error(hd_diag("gear", "CSF-25-100"), "no gear 'CSF-25-100'", "CSG-25-100")
     assert_one_line_error(hd_diag("gear"), "give the name of a gear, as CSG-25-100")
+
+
+def test_what_depends_on_the_assumed_profile_is_told_of_a_page_alone(tmp_path: Path) -> None:
+    out = tmp_path / "g.yaml"
+    assert "the assumed profile" in hd_diag("gear", "CSG-25-100", "--out", out).stdout
+    for words in (("check", out), ("mesh", "--config", out)):
+        assert "of the assumed profile" in hd_diag(*words).stdout
+    assert "assumed profile" not in hd_diag("mesh").stdout
+    config = load(out)
+    assert [fact for fact in settings(config.joints[0], config.flat) if "assumed profile" in fact.value]
+    config = resolve({})
+    assert not [fact for fact in settings(config.joints[0], config.flat) if "assumed" in fact.value]
 
 
 def test_an_edited_file_is_not_overwritten_without_being_asked(tmp_path: Path) -> None:

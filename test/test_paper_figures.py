@@ -13,7 +13,8 @@ from numpy.testing import assert_allclose
 from reference import published
 
 from hd_diag.cli.examples import load_example
-from hd_diag.drive import Drive
+from hd_diag.config.configuration import resolve
+from hd_diag.drive import Drive, mesh_state
 from hd_diag.model.transmission_error import Kinematics
 from hd_diag.report.pictures.canvas import save
 
@@ -83,10 +84,30 @@ def test_the_command_writes_figures_and_captions(tmp_path: Path) -> None:
     assert (result.exit_code, result.stderr) == (0, "")
     assert "does not agree" not in result.stdout
     names = {f"figure_{number}.png" for number in (5, 6, 7)}
-    assert {path.name for path in (tmp_path / "new").iterdir()} == {*names, "drive.png", "figures.md"}
+    data = {f"figure_{number}.csv" for number in (5, 6, 7)}
+    assert {path.name for path in (tmp_path / "new").iterdir()} == {*names, *data, "drive.png", "figures.md"}
     captions = (tmp_path / "new/figures.md").read_text(encoding="utf-8")
     assert all(f"]({name})" in captions for name in names)
     assert all(f"* ({letter}) " in captions for letter in "abcde")
+
+
+def test_figures_are_drawn_of_what_is_asked_with_their_data(tmp_path: Path) -> None:
+    words = ("--torque", "20", "--eccentricities-um", "0,4,8", "--direction-deg", "0")
+    result = hd_diag("figures", "--out", tmp_path, *words)
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert "* (" not in (tmp_path / "figures.md").read_text(encoding="utf-8")  # claims are of the paper's
+    header = (tmp_path / "figure_6.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
+    table = np.loadtxt(tmp_path / "figure_6.csv", delimiter=",", skiprows=1)
+    own = resolve({"joint_1.eccentricity.magnitude": 8e-6}).joints[0].drive
+    teeth = own.mesh.geometry.flexspline_teeth
+    state = mesh_state(own, np.zeros(1), np.array([20.0]))
+    place = table[:, 0].astype(int) % teeth
+    np.testing.assert_allclose(
+        table[:, header.index("load at 8 um [N]")], state.load[0].sum(axis=0)[place], rtol=1e-8, atol=1e-8
+    )
+    for wrong in ("0,x", "-1", "1,2,3,4,5,6,7", "nan"):
+        said = "--eccentricities-um takes one to 6 numbers"
+        assert_one_line_error(hd_diag("figures", "--out", tmp_path, "--eccentricities-um", wrong), said)
 
 
 ENDS = {"svg": (b"<?xml", b"</svg>"), "png": (b"\x89PNG\r\n", b"IEND\xaeB`\x82"), "pdf": (b"%PDF-", b"%%EOF")}

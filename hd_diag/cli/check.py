@@ -12,6 +12,7 @@ from hd_diag.config.assessment import Assessment, assess
 from hd_diag.config.configuration import JointConfig
 from hd_diag.formatting import ARCSEC
 from hd_diag.gears.characteristics import Characteristics
+from hd_diag.gears.page import ASSUMED_PROFILE
 
 
 def check(config_file: str, json_file: str | None) -> None:
@@ -63,7 +64,7 @@ def describe(joint: JointConfig, assessed: Assessment) -> None:
         f"{found.least_backlash * 1e6:.3g} µm, {gap} of the lobes {abs(found.loads.overlap) * 1e6:.3g} µm"
     )
     if assessed.page:
-        tell(f"  {gear_file.ASSUMED_PROFILE}")
+        tell(f"  {ASSUMED_PROFILE}")
     tell(f"  {_errors(found, 0.5 * drive.rated_torque)}")
     for warning in assessed.warnings:
         tell(f"  warning: {warning}")

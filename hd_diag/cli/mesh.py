@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import cmath
+import math
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,24 +13,110 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.cli.joints import chosen_joint, configured
 from hd_diag.cli.lines import number_table, show_table, tell
-from hd_diag.cli.targets import Problem, write_json
+from hd_diag.cli.targets import Problem, write_columns, write_json, writing
 from hd_diag.config.configuration import JointConfig
-from hd_diag.drive import mesh_state, transmission_error
+from hd_diag.config.defaults import page_of
+from hd_diag.config.parameters import of_joint
+from hd_diag.drive import Drive, mesh_state, transmission_error
 from hd_diag.formatting import ARCSEC, json_ready
+from hd_diag.gears.page import ASSUMED_PROFILE
 from hd_diag.streams.columns import LARGEST_ANGLE, LARGEST_TORQUE
+
+_PER_SLOT = 8  # angles of a sweep in a slot pitch
+_TORQUES, _MOST_TORQUE = 401, 2.0  # of a sweep: how many, and the largest over the rated one [-]
 
 
 def mesh(
-    config_file: str | None, joint: str | None, input_angle: float, torque: float, json_file: str | None
+    config_file: str | None,
+    joint: str | None,
+    input_angle: float,
+    torque: float,
+    eccentricity_um: float | None,
+    direction_deg: float | None,
+    sweep: str | None,
+    out: Path | None,
+    figure: Path | None,
+    json_file: str | None,
 ) -> None:
     """Do what ``hd-diag mesh`` is asked for."""
     given = ("input-angle", input_angle, LARGEST_ANGLE), ("torque", torque, LARGEST_TORQUE)
     for name, value, largest in given:
         if not abs(value) <= largest:
             raise Problem(f"--{name} must be a number of at most {largest:g}, not {value:g}")
-    result = moment(chosen_joint(configured(config_file), joint), input_angle, torque)
-    if write_json(json_file, result):
+    if sweep and not (out or figure):
+        raise Problem("--sweep needs --out or --figure")
+    config = configured(config_file)
+    found = chosen_joint(config, joint)
+    found = replace(found, drive=_eccentric(found.drive, eccentricity_um, direction_deg))
+    result = moment(found, input_angle, torque)
+    table = swept(found.drive, sweep, input_angle, torque) if sweep else _teeth(result)
+    if out:
+        write_columns(out, table)
+    if figure:
+        from hd_diag.report.pictures.canvas import save  # matplotlib takes its time
+        from hd_diag.report.pictures.moment import table_picture
+
+        with writing(figure) as place:
+            save(table_picture(table), place)
+    if write_json(json_file, result) and not sweep:
         _show(result)
+        if page_of(of_joint(config.flat, found.name)):
+            tell(f"{ASSUMED_PROFILE.capitalize()}.")
+    for file in (out, figure):
+        if file:
+            tell(f"{file}: {len(table['torque [N m]' if sweep else 'tooth'])} rows", err=json_file == "-")
+
+
+def _eccentric(drive: Drive, size: float | None, direction: float | None) -> Drive:
+    """The drive with an eccentricity [µm] in a direction [°]; where one is not given, the configured."""
+    given = cmath.polar(drive.mesh.eccentricity)
+    radius = given[0] if size is None else size * 1e-6
+    angle = given[1] if direction is None else math.radians(direction)
+    if not (0.0 <= radius < math.inf and math.isfinite(angle)):
+        raise Problem("--eccentricity-um must be a number that is not negative, --direction-deg a number")
+    try:
+        return replace(drive, mesh=replace(drive.mesh, eccentricity=cmath.rect(radius, angle)))
+    except ValueError as error:
+        raise Problem(f"--eccentricity-um: {error}") from error
+
+
+def swept(drive: Drive, over: str, input_angle: float, torque: float) -> dict[str, Floats]:
+    """Columns of a sweep by their names with units, the same as `moment` has of one.
+
+    Over a turn of the wave generator from an input angle [rad], or over torques [N m] there.
+    """
+    if over == "angle":
+        turn = 2.0 * np.pi / abs(drive.frame.turning)
+        count = _PER_SLOT * drive.mesh.geometry.circular_spline_teeth
+        angle = input_angle + turn * np.arange(count + 1) / count
+        load = np.full(angle.size, torque)
+    else:
+        load = _MOST_TORQUE * drive.rated_torque * np.linspace(-1.0, 1.0, _TORQUES)
+        angle = np.full(load.size, input_angle)
+    state = mesh_state(drive, angle, load)
+    return {
+        "input_angle [rad]": angle,
+        "torque [N m]": load,
+        "transmission_error [rad]": transmission_error(drive, angle, load),
+        "torsion [rad]": state.torsion,
+        "lost_motion [rad]": state.lost_motion,
+        "overlap [m]": state.overlap,
+        "least_backlash [m]": state.minimum_backlash,
+        "loaded_pairs": state.loaded_pairs.astype(np.float64),
+        "peak_tooth_load [N]": state.peak_load,
+        "load_concentration": state.load_concentration,
+    }
+
+
+def _teeth(result: dict[str, Any]) -> dict[str, Floats]:
+    """Columns of the teeth of a moment by their names with units; nan where a pair cannot touch."""
+    units = {"backlash": "m", "load": "N", "pressure_angle": "rad"}
+    columns = {
+        f"{name} {sign} [{unit}]": np.array(result[name][sign], dtype=np.float64)
+        for name, unit in units.items()
+        for sign in "+-"
+    }
+    return {"tooth": np.arange(len(result["load"]["+"]), dtype=np.float64), **columns}
 
 
 def moment(joint: JointConfig, input_angle: float, torque: float) -> dict[str, Any]:

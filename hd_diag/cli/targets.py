@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -62,6 +62,14 @@ def writing(path: str | Path) -> Iterator[Path]:
             yield place
     except OSError as error:
         raise Problem(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def write_columns(path: str | Path, columns: Mapping[str, Any]) -> None:
+    """Write columns (n,) by their names as CSV."""
+    rows = zip(*(column.tolist() for column in columns.values()), strict=True)
+    lines = [",".join(columns), *(",".join(f"{value:.9g}" for value in row) for row in rows)]
+    with writing(path) as place:
+        place.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def write_json(path: str | None, result: Any) -> bool:

@@ -17,7 +17,10 @@ from hd_diag.cli.progress import showing
 from hd_diag.cli.targets import Problem, write_json, writing
 from hd_diag.cli.verbs.drives import LIMITS
 from hd_diag.config.configuration import Config, JointConfig
+from hd_diag.config.defaults import page_of
+from hd_diag.config.parameters import of_joint
 from hd_diag.formatting import words
+from hd_diag.gears.page import ASSUMED_PROFILE
 from hd_diag.model.threads import cores
 from hd_diag.process_pool import ProcessPool
 from hd_diag.tolerance import limit
@@ -51,6 +54,8 @@ def tolerance(
             save(tolerance_picture(found), place)
     if write_json(json_file, document(chosen.name, found)):
         _show(chosen.name, found)
+        if page_of(of_joint(config.flat, chosen.name)):
+            tell(f"{ASSUMED_PROFILE.capitalize()}.")
 
 
 def _question(config: Config, joint: JointConfig, given: dict[str, Any]) -> Question:

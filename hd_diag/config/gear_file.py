@@ -15,12 +15,7 @@ from hd_diag.config.defaults import DEFAULTS, EXAMPLE, resolved
 from hd_diag.config.parameters import JOINT_PARAMETERS, Parameter, nested
 from hd_diag.formatting import ARCSEC
 from hd_diag.gears.characteristics import slot_shift
-
-ASSUMED_PROFILE = (
-    "backlash of single teeth, the eccentricity of the first interference and forces on teeth are those of "
-    "the assumed profile"
-)
-"""What to tell wherever these are shown of a drive from a page."""
+from hd_diag.gears.page import ASSUMED_PROFILE
 
 _WIDTH = 118  # of a comment
 _COLUMN = 62  # at which the comment of a value begins

@@ -11,6 +11,12 @@ from hd_diag.arrays import Floats
 T1_SHARE, T2_SHARE = 0.25, 0.86
 """Torques T1 and T2 over the rated torque where no page gives them [-]."""
 
+ASSUMED_PROFILE = (
+    "backlash of single teeth, the eccentricity of the first interference and forces on teeth are those of "
+    "the assumed profile"
+)
+"""What to tell wherever these are shown of a drive from a page."""
+
 
 class Page(NamedTuple):
     """A catalogue page: pitch diameter [m], ratio [-], torques [N m], stiffness [N m/rad]; the output.

@@ -24,7 +24,7 @@ from hd_diag.diagnosis.ripple.verdict import sentence as ripple_sentence
 from hd_diag.diagnosis.verdict import sentence
 from hd_diag.effects.order_spectrum import line_width, spectrum
 from hd_diag.formatting import number, percent, words
-from hd_diag.gears.page import Page
+from hd_diag.gears.page import ASSUMED_PROFILE, Page
 from hd_diag.records.joint_record import InputRecord
 from hd_diag.replay.versions import running
 from hd_diag.report import stages, torsion
@@ -197,6 +197,8 @@ def settings(joint: JointConfig, flat: Mapping[str, Value]) -> tuple[Fact, ...]:
         if key in flat and not unset and not entry.name.startswith(_NOT_OF_THE_DRIVE):
             unit = "" if entry.unit == "-" else entry.unit
             found.append(Fact(entry.name, f"{flat[key]} {unit}".strip() or "none"))
+    if _page(joint, flat):
+        found.append(Fact("of a page", ASSUMED_PROFILE))
     return tuple(found)
 
 

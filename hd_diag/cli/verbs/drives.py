@@ -29,6 +29,9 @@ def check() -> None:
 )
 @options.CONFIG
 @options.shown("--format", "svg", "Of the figures.", type=click.Choice(["svg", "png", "pdf"]))
+@click.option("--torque", type=click.FLOAT, help="Torque of the loads [N m]. [default: the rated one]")
+@click.option("--eccentricities-um", help="Up to six eccentricities [µm], as 0,5,10. [default: the paper's]")
+@click.option("--direction-deg", type=click.FLOAT, help="Their angle from the long axis [°]. [default: 90]")
 def figures() -> None:
     """Draw the model's counterparts of the paper's Figs. 5 to 7.
 
@@ -104,6 +107,17 @@ def gear() -> None:
 @options.JOINT
 @options.shown("--input-angle", 0.0, "Reported input angle [rad].")
 @options.shown("--torque", 0.0, "Torque M [N m].")
+@click.option(
+    "--eccentricity-um", type=click.FLOAT, help="Eccentricity [µm], in place of the configured one."
+)
+@click.option("--direction-deg", type=click.FLOAT, help="Its direction in the housing [°].")
+@click.option(
+    "--sweep",
+    type=click.Choice(["angle", "torque"]),
+    help="Instead of one moment: a turn of the wave generator, or torques to twice the rated one both ways.",
+)
+@click.option("--out", type=options.Target(".csv"), help="Table of the teeth, or of the sweep: *.csv, in SI.")
+@options.figure_option("backlash and load of the teeth, or the sweep")
 @options.JSON
 def mesh() -> None:
     """Show backlash and load of every tooth at one input angle and torque.
