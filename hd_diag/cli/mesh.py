@@ -69,6 +69,8 @@ def mesh(
 
 def _eccentric(drive: Drive, size: float | None, direction: float | None) -> Drive:
     """The drive with an eccentricity [µm] in a direction [°]; where one is not given, the configured."""
+    if size is None and direction is None:
+        return drive
     given = cmath.polar(drive.mesh.eccentricity)
     radius = given[0] if size is None else size * 1e-6
     angle = given[1] if direction is None else math.radians(direction)
