@@ -2,13 +2,23 @@
 
 import atexit
 import gc
+import os
 import sys
 
 atexit.register(gc.freeze)  # at the end nobody looks through all objects once more, which takes 0.25 s
 
 
+def _open_streams() -> None:
+    """Lead standard streams that are closed to nowhere: the next file would get their number."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest number that is free
+            setattr(sys, name, open(number, "w" if number else "r", closefd=False))  # noqa: SIM115
+
+
 def main() -> None:
     """Entry point of the ``hd-diag`` command."""
+    _open_streams()
     gc.disable()  # until a verb works: imports leave no garbage, and looking for it is a sixth of a start
     try:
         from hd_diag.ros.stop_signals import raise_signals
@@ -29,6 +39,7 @@ def main() -> None:
 
 def node() -> None:
     """Entry point of the ``hd_diag_node`` executable."""
+    _open_streams()
     from hd_diag.ros.stop_signals import note_signals
 
     stopped = note_signals()

@@ -150,3 +150,21 @@ def test_two_steps_in_a_run(record: Record) -> None:
 
 def test_a_step_between_runs_is_a_hub_that_slipped_at_rest_and_no_skip(record: Record) -> None:
     assert find_steps(stepped(record, PITCH, 8000), RATIO, PITCH)[1] == []
+
+
+@pytest.mark.parametrize(("runs", "turned"), [(1, 1.0), (700, 1.0), (1800, 1.0), (1800, -1.0)])
+def test_the_ratio_is_checked_in_runs_of_any_length(record: Record, runs: int, turned: float) -> None:
+    """Of 20,000 samples: stretches in which a record is usually read are longer than a run of 11."""
+    given = scaled(record, 3.0 * turned)
+    pieces = dataclasses.replace(given, run=np.arange(record.size) * runs // record.size)
+    found = check_ratio(pieces, RATIO * turned)
+    assert found is not None
+    assert found.value == pytest.approx(3.0 * turned * RATIO, rel=0.02)
+
+
+def test_where_nothing_moves_within_a_run_no_ratio_is_found(record: Record) -> None:
+    rows = np.arange(record.size)
+    pieces = dataclasses.replace(record, run=rows, input_angle=np.floor(record.input_angle))
+    found = check_ratio(pieces, RATIO)
+    assert found is not None
+    assert np.isnan(found.value)

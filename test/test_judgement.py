@@ -166,7 +166,7 @@ def test_the_error_is_compared_with_the_catalogue(amplitude: float) -> None:
     found = Answer(waved(amplitude * ARCSEC, np.random.default_rng(0), torsion)).normal
     assert found is not None
     assert found.value / ARCSEC == pytest.approx(2.0 * amplitude, rel=0.1)
-    assert found.within == (amplitude < 45.0)
+    assert found.within is (amplitude < 45.0)
 
 
 def test_how_well_the_error_is_known_is_how_much_it_scatters_between_records() -> None:

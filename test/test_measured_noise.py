@@ -7,6 +7,7 @@ import pytest
 from benches import CONFIGURED, POINT, swinging
 from challenge import noise
 from joint_records import ARCSEC, RATIO
+from numpy.testing import assert_array_equal
 from scipy.linalg import toeplitz
 
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
@@ -18,6 +19,7 @@ from hd_diag.diagnosis.measured_noise import (
     measured_covariance,
     measured_noise,
 )
+from hd_diag.diagnosis.noise import ORDER
 
 
 @pytest.fixture(scope="module")
@@ -107,3 +109,11 @@ def test_where_passes_disagree_the_noise_is_vague(off: float, vague: bool) -> No
     assert noise.vague is vague
     assert 0.8 < noise.low < (2.5 if vague else 1.0)
     assert (noise.high > 4.0) is vague
+
+
+def test_passes_too_short_for_a_colour_say_white() -> None:
+    """Runs of fewer samples than the noise model looks back over."""
+    run = np.arange(600, dtype=np.int64) // 15
+    passed = Revisits(np.arange(0, 500), np.arange(90, 590), np.zeros((500, 1)))
+    found = measured_covariance(np.sin(np.arange(600.0)), run, passed, MeasuredNoise(2.0, 1.9, 2.1, True))
+    assert_array_equal(found, [4.0, *[0.0] * ORDER])

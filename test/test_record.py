@@ -4,10 +4,12 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from joint_records import ARCSEC, RATIO, columns, prepared
+from joint_records import ARCSEC, RATIO, columns, joint, prepared
 from numpy.testing import assert_allclose, assert_array_equal
 
+from hd_diag.diagnosis.noise import ORDER
 from hd_diag.diagnosis.record import MINIMUM_SAMPLES, RecordError
+from hd_diag.diagnosis.screening import screened
 
 TURN = 2.0 * np.pi
 
@@ -213,3 +215,64 @@ def test_swapped_angles_are_said_where_the_input_hardly_moves(given: dict[str, n
     given["input"], given["output"] = given["output"], given["input"]
     with pytest.raises(RecordError, match=r"no motion: .*: are input and output swapped"):
         prepared(given)
+
+
+@pytest.mark.parametrize(
+    ("torque", "told"),
+    [
+        (0.0, "is zero throughout"),
+        (-5e-324, "is never beyond 4.94e-324 N m"),
+        (1e-9, "is never beyond 1e-09 N m"),
+        (np.nan, "is not a number throughout"),
+        (-1.0, "is -1 N m throughout"),
+        (999.0, "is 999 N m throughout"),
+        (12.0, ""),  # may be a weight
+    ],
+)
+def test_a_torque_that_is_none_is_told(given: dict[str, np.ndarray], torque: float, told: str) -> None:
+    """It is as if it were not in the record."""
+    given["torque"][:] = torque
+    record = prepared(given, assumed_torque=7.0)
+    assert (record.no_torque, record.has_torque) == (told, not told)
+    assert_allclose(record.torque, np.full(record.size, 7.0 if told else 12.0), rtol=1e-12)
+    (finding,) = screened(record, joint().drive).findings[:1] or (None,)
+    assert (finding is not None) is bool(told)
+    if finding is not None:
+        said = f"the torque {told}: it counts as not measured, and 7 N m as configured is assumed"
+        assert (finding.name, finding.text, finding.fatal) == ("no_torque", said, False)
+    given["torque"][::2] = 3.0
+    assert prepared(given).no_torque == ""
+
+
+@pytest.mark.parametrize(("piece", "judged"), [(ORDER + 1, True), (ORDER, False), (2, False)])
+def test_a_record_in_pieces_too_short_to_tell_noise_is_refused(
+    given: dict[str, np.ndarray], piece: int, judged: bool
+) -> None:
+    given["time"] = given["time"] + np.arange(given["time"].size) // piece
+    if judged:
+        assert prepared(given).extent.runs > 100
+    else:
+        with pytest.raises(
+            RecordError, match=r"torn: 4000 usable samples .* 0 of them are in pieces of more"
+        ):
+            prepared(given)
+
+
+@pytest.mark.parametrize("still", [0.3, -1e5, 0.0])
+def test_an_output_that_never_moves_is_refused(given: dict[str, np.ndarray], still: float) -> None:
+    given["output"][:] = still
+    with pytest.raises(RecordError, match=f"no motion: the output angle is {still:.6g} rad throughout"):
+        prepared(given)
+
+
+@pytest.mark.parametrize(("turns", "judged"), [(1.0, True), (200.0, True), (2000.0, False), (1e9, False)])
+def test_an_input_faster_than_any_drive_is_refused_before_anything_is_spread_over_its_turns(
+    given: dict[str, np.ndarray], turns: float, judged: bool
+) -> None:
+    """A mean of 24 rad/s, that many times."""
+    given["input"], given["output"] = turns * given["input"], turns * given["output"]
+    if judged:
+        assert prepared(given).extent.input_turns == pytest.approx(76.4 * turns, rel=1e-3)
+    else:
+        with pytest.raises(RecordError, match="rad/s in the mean, and no drive's faster than 10000 rad/s"):
+            prepared(given)

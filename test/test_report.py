@@ -151,7 +151,8 @@ def test_cards_are_sorted_by_size_and_leave_out_what_may_be_nothing() -> None:
 
 def test_the_first_line_is_how_bad_the_joint_is() -> None:
     found, report = judged("output_runout"), joint_report("output_runout")
-    assert re.fullmatch(r"The joint is within its accuracy \(\d+ of 90 arcsec peak to peak\)\.", found.first)
+    part = r"\(\d+ of 90 arcsec peak to peak over 0\.\d\d of an output turn\)"
+    assert re.fullmatch(rf"The joint is within its accuracy {part}\.", found.first)
     assert letters(found.first + found.rest) == letters(report.verdict)
     (gauge,) = found.gauges
     assert (gauge.state, found.state) == ("within", "green")

@@ -213,20 +213,34 @@ def test_the_sentence(made: Diagnosis, said: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("most", "where"), [(20e-6, "is within"), (10e-6, "is beyond"), (17.9e-6, "may be beyond")]
+    ("most", "place", "said"),
+    [
+        (20e-6, "within", "its eccentricity is within the tolerance's limit (18.2 of 20.0 µm"),
+        (10e-6, "beyond", "its eccentricity is beyond the tolerance's limit (18.2 of 10.0 µm"),
+        (
+            17.9e-6,
+            "near",
+            "whether its eccentricity is within the tolerance's limit "
+            "cannot be judged (18.2 ± 0.3 of 17.9 µm",
+        ),
+    ],
 )
-def test_severity_comes_first(most: float, where: str) -> None:
+def test_severity_comes_first(most: float, place: str, said: str) -> None:
     """Catalogue's accuracy, then what the assembly may have; before anything that was found."""
     made = diagnosis(cause("hysteresis"), allowed=Allowed(most, "peak_tooth_load"))
     first, _, _ = sentence(Answer(made)).partition(";")
-    assert re.fullmatch(r"the joint is within its accuracy \(\d+ of 90 arcsec peak to peak\) and .*", first)
-    sizes = f"18.2 of {most * 1e6:.1f} µm"
-    assert first.endswith(f"its eccentricity {where} the tolerance's limit ({sizes}, by peak tooth load)")
+    assert re.fullmatch(
+        r"the joint is within its accuracy "
+        r"\(\d+ of 90 arcsec peak to peak over 0\.\d\d of an output turn\) and .*",
+        first,
+    )
+    assert first.endswith(f"{said}, by peak tooth load)")
     expected = {"eccentricity": pytest.approx(18.2e-6), "std": pytest.approx(3e-7), "allowed": most}
     assert as_json(made, "joint_1")["tolerance"] == {
         **expected,
         "criterion": "peak_tooth_load",
-        "within": where == "is within",
+        "place": place,
+        "within": {"within": True, "beyond": False, "near": None}[place],
     }
 
 

@@ -83,6 +83,8 @@ def model_document(found: Diagnosis, joint: str, records: Records) -> dict[str, 
         (cause.effect.standard_deviations(cause.coefficients, cause.nonlinear, cause.covariance), cause.alike)
         for cause in found.found.causes
     ]
+    motor = [term.effect.name for term in found.model.effects if term.effect.given]
+    effects += [(found.motor_std, (name,)) for name in motor]
     effects += [
         (ORDER_LINE.standard_deviations(row.coefficients, row.nonlinear, row.covariance), (ORDER_LINE.name,))
         for row in found.order_table

@@ -28,10 +28,15 @@ def tell(line: str, *, err: bool = False) -> None:
 
 
 def show(text: str, *, err: bool = False) -> None:
-    """Print text as it is; where its reader has gone (``head``), drop it and what follows, and go on."""
+    """Print text as it is; where its reader has gone (``head``), drop it and what follows, and go on.
+
+    So it is where stderr cannot be written to: nobody can be told.
+    """
     try:
         click.echo(text, nl=False, err=err)
-    except BrokenPipeError:
+    except OSError as error:
+        if not (err or isinstance(error, BrokenPipeError)):
+            raise
         discard_output(sys.stderr if err else sys.stdout)
 
 

@@ -22,7 +22,7 @@ from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
 from hd_diag.diagnosis.fit.fit_parameters import warm_up
 from hd_diag.diagnosis.orders_only import orders_only
 from hd_diag.diagnosis.record import Record, RecordError
-from hd_diag.diagnosis.ripple.ripple import Ripple, ripple
+from hd_diag.diagnosis.ripple.ripple import NO_TORQUE, Ripple, ripple
 from hd_diag.diagnosis.screening import screened
 from hd_diag.diagnosis.work import Work
 from hd_diag.effects import Catalogue
@@ -75,6 +75,8 @@ class Records:
         """Lines of a joint's torque over a motion; RecordError where there is nothing that can be judged."""
         columns = motion.time, motion.input_angle, motion.torque, motion.bag
         try:
+            if motion.no_torque:
+                raise RecordError(f"the torque {motion.no_torque}: {NO_TORQUE}")
             return ripple(*columns, joint.configured.kinematics)
         except RecordError as error:
             raise RecordError(motion.stamps.after(str(error))) from error

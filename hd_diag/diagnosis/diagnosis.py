@@ -16,7 +16,7 @@ from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import linearise
 from hd_diag.diagnosis.fit.motor_torque import less_motor
-from hd_diag.diagnosis.fit.refit import Refit, refit
+from hd_diag.diagnosis.fit.refit import Refit, refit, usable
 from hd_diag.diagnosis.gain import MISFIT, Gain, Misfit, Rms, held_out, renumbered
 from hd_diag.diagnosis.noise import ORDER
 from hd_diag.diagnosis.predictive import most_predictive
@@ -192,10 +192,11 @@ def diagnose(
     record, findings = checked
     if any(finding.fatal for finding in findings):
         return Diagnosis(record, configured, findings, catalogue=catalogue)
-    test, which = held_out(record)
-    record = renumbered(record)
+    apart = renumbered(record)
     # Single rows of a long record weigh nothing in a fit, which must know of what came between.
-    test &= (np.bincount(record.run) > ORDER)[record.run]
+    together = (np.bincount(apart.run) > ORDER)[apart.run]
+    test, which = held_out(record, usable(record) & together)
+    record, test = apart, test & together
     record, misleading = without_misleading_torque(record, configured, test, rng)
     findings = (*findings, *([misleading] if misleading else []))
     work.tell(0.02, "fitting the model's own parameters")

@@ -8,7 +8,7 @@ from scipy.optimize import nnls
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.noise import bounds
-from hd_diag.diagnosis.record import Record, RecordError
+from hd_diag.diagnosis.record import MINIMUM_SAMPLES, Record, RecordError
 from hd_diag.diagnosis.ripple.ripple import ripple
 from hd_diag.diagnosis.smoothing import smooth
 from hd_diag.diagnosis.stamps import usual_step
@@ -65,6 +65,11 @@ def check_velocity(record: Record, kinematics: Kinematics) -> Finding | None:
     inner = np.zeros(record.size, bool)
     for begin, end in bounds(record.stretch):
         inner[begin + lags[-1] : end] = True
+    if np.count_nonzero(inner) < MINIMUM_SAMPLES:
+        raise RecordError(
+            f"too short for a velocity as input: {np.count_nonzero(inner)} samples come more than "
+            f"{_MEMORY:g} s after a gap, at least {MINIMUM_SAMPLES} are needed"
+        )
     late = [np.roll(record.output_angle, lag) for lag in lags]
     columns = [one - record.output_angle for one in (*late, record.input_angle / kinematics.ratio)]
     both = without_drift(np.stack(columns, axis=1)[inner], record.time[inner], record.bag[inner])

@@ -105,13 +105,19 @@ def declared(role: str, unit: str) -> str:
 
 
 def _usual_slope(record: Record) -> float:
-    """Output over input: median of short stretches weighted by their travel; steps do not affect it."""
-    lag = max(record.size // 400, 1)
+    """Output over input: median of short stretches weighted by their travel; steps do not affect it.
+
+    Stretches are no longer than half a usual run; nan where nothing moves within a run.
+    """
+    usual_run = int(np.median(np.bincount(record.run)[record.run]))
+    lag = max(min(record.size // 400, usual_run // 2), 1)
     same = record.run[lag:] == record.run[:-lag]
     angle, output = (
         (column[lag:] - column[:-lag])[same][::lag] for column in (record.input_angle, record.output_angle)
     )
     moved = np.abs(angle) > 1e-9
+    if not moved.any():
+        return math.nan
     slope, way = output[moved] / angle[moved], np.abs(angle[moved])
     order = np.argsort(slope)
     half = np.searchsorted(np.cumsum(way[order]), 0.5 * way.sum())

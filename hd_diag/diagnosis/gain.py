@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -15,8 +16,8 @@ from hd_diag.diagnosis.extension import extended_model, running_residual
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.design import interval, projection
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
-from hd_diag.diagnosis.noise import numbered, slices
-from hd_diag.diagnosis.record import Record
+from hd_diag.diagnosis.noise import ORDER, numbered, slices
+from hd_diag.diagnosis.record import Record, RecordError
 from hd_diag.diagnosis.search.causes import Search
 from hd_diag.diagnosis.search.order_table import part
 from hd_diag.diagnosis.search.remainder import Remainder
@@ -29,6 +30,7 @@ Rows = npt.NDArray[np.bool_]
 _HELD_OUT = 4  # every fourth run, or stretch of a single run, is held out
 _STRETCHES = 12
 _SLICE = 1.0  # length of a block of the bootstrap [s]
+_LEAST_FITTED, _LEAST_UNSEEN = 100, 25  # rows: a fit has some thirty columns
 _MORE = 1.15  # what is left over the noise where it is more than noise for certain
 
 MISFIT = 1.3
@@ -127,23 +129,43 @@ class Misfit(NamedTuple):
         return (self.value if self.measured else self.low) > MISFIT
 
 
-def held_out(record: Record) -> tuple[Rows, str]:
+def held_out(record: Record, good: Rows | None = None) -> tuple[Rows, str]:
     """Rows that no fit sees, shape (n,), and in words which: whole recordings or runs, or stretches.
 
-    Never the last: a slow drift is foretold from what comes before and after.
+    Never the last: a slow drift is foretold from what comes before and after. Some of the rows that are
+    `good` for a fit (n,) are among them, and most are not; all are where it is not given.
+
+    Raises
+    ------
+    RecordError
+        Where there are too few of these.
     """
+    good = np.ones(record.size, bool) if good is None else good
+    for rows, which in _divisions(record, good):
+        if np.count_nonzero(good & rows) >= _LEAST_UNSEEN and np.count_nonzero(good & ~rows) >= _LEAST_FITTED:
+            return rows, which
+    raise RecordError(
+        f"too little motion: of {record.size} samples {np.count_nonzero(good)} are of a joint that moves, in "
+        f"runs of more than {ORDER} samples; at least {_LEAST_FITTED + _LEAST_UNSEEN} are needed"
+    )
+
+
+def _divisions(record: Record, good: Rows) -> Iterator[tuple[Rows, str]]:
+    """Ways to hold rows out, in words too, the best first."""
     bags = np.unique(record.bag)
     if bags.size >= _HELD_OUT:
         rows = _every_fourth(np.searchsorted(bags, record.bag), bags.size)
         if 0.1 < rows.mean() < 0.5:
-            return rows, f"{np.unique(record.bag[rows]).size} of {bags.size} recordings"
+            yield rows, f"{np.unique(record.bag[rows]).size} of {bags.size} recordings"
     if record.extent.runs >= _HELD_OUT:
         rows = _every_fourth(record.run, record.extent.runs)
         if 0.1 < rows.mean() < 0.5:
-            return rows, f"{np.unique(record.run[rows]).size} of {record.extent.runs} runs"
-    stretch = np.arange(record.size) * _STRETCHES // record.size
-    which = f"{_STRETCHES // _HELD_OUT} of {_STRETCHES} stretches of the record"
-    return _every_fourth(stretch, _STRETCHES), which
+            yield rows, f"{np.unique(record.run[rows]).size} of {record.extent.runs} runs"
+    share = f"{_STRETCHES // _HELD_OUT} of {_STRETCHES} stretches"
+    for counted, where in ((np.ones(record.size, bool), "record"), (good, "motion")):
+        before = np.cumsum(counted) - counted
+        stretch = np.asarray(before * _STRETCHES // max(np.count_nonzero(counted), 1), np.int64)
+        yield _every_fourth(stretch, _STRETCHES), f"{share} of the {where}"
 
 
 def _every_fourth(number: Integers, count: int) -> Rows:

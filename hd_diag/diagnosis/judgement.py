@@ -9,11 +9,11 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from hd_diag.diagnosis.accuracy import WHOLE_TURN, Accuracy, accuracy
 from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.refit import usable
 from hd_diag.diagnosis.gain import MISFIT
-from hd_diag.diagnosis.regression import centered, usual_laws
 from hd_diag.diagnosis.search.kept_parameters import DISPLACEMENTS, GROUPS, PLAIN, TWO_SIDED
 from hd_diag.formatting import ARCSEC, words
 
@@ -23,8 +23,6 @@ _SIGMAS = 3.0  # a parameter this many standard deviations off its configured va
 _LEAST_SHARE = 0.05  # of the noise, below which what a parameter changes is of no use
 _BY_TORQUE = ("tooth_compliance", "cup_compliance")
 _MOST_ROWS = 2000
-_PEAK_TO_PEAK = 2.0 * math.sqrt(2.0)  # of a wave, over its rms
-_STRETCHES = 12  # of a record, whose scatter tells how well its mean square is known
 
 Beside = Literal["within", "near", "beyond", "open"]
 """A value beside its limit: under it, over it, too near to it to tell which, or unknown."""
@@ -40,9 +38,9 @@ class Limited(NamedTuple):
     unit: str
 
     @property
-    def within(self) -> bool:
-        """Whether the value itself is no more than the limit."""
-        return self.value <= self.limit
+    def within(self) -> bool | None:
+        """Whether it is under the limit with its whole interval, or over it; None where that is not known."""
+        return {"within": True, "beyond": False}.get(self.place)
 
     @property
     def place(self) -> Beside:
@@ -143,32 +141,29 @@ class Answer:
         return Limited("eccentricity", self.eccentricity, std, most.eccentricity, "m")
 
     @cached_property
+    def accuracy(self) -> Accuracy | None:
+        """The joint's error, from peak to peak; None where signals are wrong."""
+        found = self.diagnosis
+        if any(finding.fatal for finding in found.findings):
+            return None
+        kinematics, rated_torque = found.configured.kinematics, found.configured.rated_torque
+        frames = {"input": 1.0, "output": 1.0 / abs(kinematics.ratio)}
+        orders = [row.nonlinear[0] for row in found.order_table]
+        lines = (line for line in found.unexplained if line.order > 0.0 and line.frame in frames)
+        orders += [line.order * frames[line.frame] for line in lines]
+        return accuracy(found.record, kinematics, rated_torque, orders, _noise(found))
+
+    @cached_property
     def normal(self) -> Limited | None:
         """The joint's error beside what its catalogue allows; None where nothing can be said.
 
-        Notes
-        -----
-        The catalogue measures without load. Here torsion, friction and an offset of every run are taken off
-        by a regression that knows no gear, and the noise's variance; the rest counts as one wave of that rms.
-        The scatter of its mean square over stretches of the record gives the standard deviation, with that
-        of the noise. Without a measured torque a rest that is too large may be torsion: nothing is said.
+        Without a measured torque an error that is not plainly small may be torsion: nothing is said.
         """
-        found, record = self.diagnosis, self.diagnosis.record
-        if any(finding.fatal for finding in found.findings):
+        if self.accuracy is None:
             return None
-        error = record.output_angle - record.input_angle / found.configured.kinematics.ratio
-        laws = [centered(law, record.run) for law in usual_laws(record, found.configured.rated_torque)]
-        matrix, target = np.stack(laws, axis=1), centered(error, record.run)
-        rest = target - matrix @ np.linalg.lstsq(matrix, target, rcond=None)[0]
-        noise, noise_spread = _noise(found)
-        own = max(float(np.mean(rest**2)) - noise, 0.0)
-        stretches = [float(np.mean(part**2)) for part in np.array_split(rest, _STRETCHES)]
-        spread = math.hypot(float(np.std(stretches, ddof=1)) / math.sqrt(_STRETCHES), noise_spread)
-        # d sqrt(x) = dx / (2 sqrt(x)), and no more than sqrt(dx) where x vanishes.
-        std = min(spread / (2.0 * math.sqrt(own)), math.sqrt(spread)) if own > 0.0 else math.sqrt(spread)
-        sizes = _PEAK_TO_PEAK * math.sqrt(own), _PEAK_TO_PEAK * std
-        limited = Limited("transmission_error", *sizes, found.configured.accuracy, "rad")
-        return limited if record.has_torque or limited.within else None
+        value, std, _ = self.accuracy
+        limited = Limited("transmission_error", value, std, self.diagnosis.configured.accuracy, "rad")
+        return limited if self.diagnosis.record.has_torque or limited.place == "within" else None
 
     @property
     def evidence(self) -> dict[str, Any]:
@@ -236,17 +231,25 @@ def _misfit(answer: Answer) -> list[str]:
 
 def _severity(answer: Answer) -> list[str]:
     """The joint beside its catalogue's accuracy, and its eccentricity beside what the assembly may have."""
-    parts, usual, assembly = [], answer.normal, answer.tolerance
-    if usual is not None:
-        size, allowed = usual.value / ARCSEC, usual.limit / ARCSEC
-        where = "within" if usual.within else "beyond"
-        own = f"{size:.0f}" if size >= 0.5 else "none to be seen beside the noise,"
-        parts.append(f"the joint is {where} its accuracy ({own} of {allowed:.0f} arcsec peak to peak)")
-    else:
-        parts.append("whether the joint is within its accuracy cannot be judged without its torque")
+    usual, assembly = answer.normal, answer.tolerance
+    parts = ["whether the joint is within its accuracy cannot be judged without its torque"]
+    if usual is not None and answer.accuracy is not None:
+        turns = answer.accuracy.turns
+        over = "" if turns >= WHOLE_TURN else f" over {turns:.2f} of an output turn"
+        of = f"of {usual.limit / ARCSEC:.0f} arcsec peak to peak{over}"
+        parts = [_beside(usual, "the joint", "its accuracy", of, 1.0 / ARCSEC, 0)]
     if assembly is not None and answer.diagnosis.allowed is not None and not math.isnan(assembly.value):
-        where = "may be beyond" if assembly.place in ("near", "open") else f"is {assembly.place}"
-        sizes = f"{assembly.value * 1e6:.1f} of {assembly.limit * 1e6:.1f} µm"
-        by = words(answer.diagnosis.allowed.criterion)
-        parts.append(f"its eccentricity {where} the tolerance's limit ({sizes}, by {by})")
+        of = f"of {assembly.limit * 1e6:.1f} µm, by {words(answer.diagnosis.allowed.criterion)}"
+        parts.append(_beside(assembly, "its eccentricity", "the tolerance's limit", of, 1e6, 1))
     return [" and ".join(parts)]
+
+
+def _beside(one: Limited, who: str, limit: str, of: str, unit: float, digits: int) -> str:
+    """Where a value is beside its limit, in words; its deviation is said where that decides."""
+    value = f"{one.value * unit:.{digits}f}"
+    if one.within is not None:
+        if not float(value):
+            value = "none to be seen beside the noise,"
+        return f"{who} is {one.place} {limit} ({value} {of})"
+    std = "" if math.isnan(one.std) else f" ± {one.std * unit:.{digits}f}"
+    return f"whether {who} is within {limit} cannot be judged ({value}{std} {of})"

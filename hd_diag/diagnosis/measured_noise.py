@@ -127,6 +127,8 @@ def measured_covariance(residual: Floats, run: Integers, passed: Revisits, noise
     first, second = passed.first[last], passed.second[last]
     whole = (run[first + ORDER] == run[first]) & (run[second + ORDER] == run[second])
     first, second = first[whole], second[whole]
+    if not first.size:  # no pass is long enough: white
+        return np.asarray(noise.rms**2 * np.eye(1, ORDER + 1)[0])
     away = np.stack([residual[first + lag] - residual[second + lag] for lag in range(ORDER + 1)])
     found = np.array([0.5 * float(np.mean(away[: ORDER + 1 - lag] * away[lag:])) for lag in range(ORDER + 1)])
     found -= max(float(found[0]) - noise.rms**2, 0.0)

@@ -9,7 +9,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.blocks import unwrapped
-from hd_diag.diagnosis.noise import bounds, numbered, spans
+from hd_diag.diagnosis.noise import ORDER, bounds, numbered, spans
 from hd_diag.diagnosis.outliers import Rows, outliers, torque_outliers
 from hd_diag.diagnosis.smoothing import deviation, rate, smooth
 from hd_diag.diagnosis.stamps import UNTOLD, Stamps, by_clock, usual_step
@@ -21,6 +21,12 @@ Columns = dict[str, Any]
 MINIMUM_SAMPLES = 200
 """Fewer samples than this are too short a record."""
 
+FASTEST = 1e4
+"""Ten times what the smallest drives turn at, at most [rad/s]."""
+
+_ROUNDING = 1e-12  # of the largest angle, within which it is constant
+_PLACEHOLDERS = (1.0, 99.0, 999.0, 9999.0, 32767.0, 32768.0, 65535.0, 99999.0)  # of either sign [N m]
+_LEAST_TORQUE = 1e-6  # of any sample, without which none was measured [N m]: it bends no gear by an arcsec
 _PAUSE = 0.2  # rest that ends a run [s]
 _SLOW = 0.02  # of the top speed, within which friction turns [-]
 _REST_SPEED = 0.02  # of the record's 95th percentile of speed, below which the joint rests [-]
@@ -76,6 +82,8 @@ class Record:
         What became of samples before.
     taken : ndarray, or None
         What was added to the torque by a current, because the motor itself takes some of it [N m].
+    no_torque : str
+        What the reported torque is instead of a measured one, in words; empty where there is none.
     """
 
     time: Floats
@@ -99,6 +107,7 @@ class Record:
     by_velocity: bool = False
     stamps: Stamps = UNTOLD
     taken: Floats | None = None
+    no_torque: str = ""
 
     @property
     def size(self) -> int:
@@ -178,9 +187,10 @@ def prepare(
         "time": time,
         "input_angle": input_angle,
         "output_angle": output_angle,
-        "torque": _measured(torque),
+        "torque": torque,
         "temperature": _measured(temperature),
     }
+    columns["torque"], no_torque = measured_torque(columns["torque"])
     refused = stamps.refused
     bag, stamps = by_clock(time, bag, stamps)
     usable = _usable(columns, bag)
@@ -199,17 +209,16 @@ def prepare(
     columns = _kept(columns, usable)
     bag, output = columns["bag"], _unwrapped(columns["output_angle"], columns["bag"])
     segment = segments(columns["time"], bag, GAP_STEPS)
+    _check_whole(segment)
     angle = _with_turns(columns["input_angle"], output, bag, segment, ratio)
-    turned, followed = float(np.ptp(angle)), float(np.ptp(output))
-    if turned < np.pi:
-        text = f"no motion: the input turns by {turned:.3g} rad, at least half a turn is needed"
-        swapped = f"; the output turns by {followed:.3g} rad: are input and output swapped?"
-        raise RecordError(text + swapped * (abs(ratio) > 1.0 and followed > np.pi))
     keep = ~outliers(output - angle / ratio, bag, together=2)
     if columns["torque"] is not None:
         keep &= ~torque_outliers(columns["torque"], bag)
     columns |= {"input_angle": angle, "output_angle": output, "segment": segment}
     columns = _kept(columns, keep)
+    _check_whole(columns["segment"])
+    _check_motion(columns["input_angle"], columns["output_angle"], ratio)
+    check_speed(columns["time"], columns["input_angle"], columns["segment"])
     time, load, heat, segment = (columns.pop(n) for n in ("time", "torque", "temperature", "segment"))
     step = usual_step(time)
     speed = rate(columns["input_angle"], segment, step, _SPEED_WINDOW)
@@ -236,7 +245,45 @@ def prepare(
         by_current=by_current and load is not None,
         by_velocity=by_velocity,
         stamps=stamps,
+        no_torque=no_torque,
     )
+
+
+def _check_whole(segment: Integers) -> None:
+    """Raise RecordError where hardly any samples stand in stretches (n,) long enough to tell noise."""
+    count = np.bincount(segment)
+    whole = int(count[count > ORDER].sum())
+    if whole < MINIMUM_SAMPLES:
+        raise RecordError(
+            f"torn: {segment.size} usable samples are in {np.count_nonzero(count)} pieces between gaps and "
+            f"recordings; {whole} of them are in pieces of more than {ORDER} samples, at least "
+            f"{MINIMUM_SAMPLES} are needed"
+        )
+
+
+def _check_motion(angle: Floats, output: Floats, ratio: float) -> None:
+    """Raise RecordError where the input (n,) [rad] hardly turns, or the output (n,) [rad] never."""
+    turned, followed = float(np.ptp(angle)), float(np.ptp(output))
+    if turned < np.pi:
+        text = f"no motion: the input turns by {turned:.3g} rad, at least half a turn is needed"
+        swapped = f"; the output turns by {followed:.3g} rad: are input and output swapped?"
+        raise RecordError(text + swapped * (abs(ratio) > 1.0 and followed > np.pi))
+    if followed <= _ROUNDING * float(np.abs(output).max()):
+        raise RecordError(f"no motion: the output angle is {output[0]:.6g} rad throughout")
+
+
+def check_speed(time: Floats, angle: Floats, segment: Integers) -> None:
+    """Raise RecordError where the input turns faster than any: what is spread over turns grows with them.
+
+    Times [s], angles [rad] and numbers of the stretches without a gap are of shape (n,).
+    """
+    inside = np.diff(segment) == 0
+    way, duration = np.abs(np.diff(angle))[inside].sum(), np.diff(time)[inside].sum()
+    if not way <= FASTEST * duration:
+        raise RecordError(
+            f"the input turns at {way / max(duration, 1e-300):.3g} rad/s in the mean, and no drive's faster "
+            f"than {FASTEST:g} rad/s: give the units of its angle and of the stamps"
+        )
 
 
 def extent(time: Floats, input_angle: Floats, run: Integers) -> Extent:
@@ -261,6 +308,25 @@ def _kept(columns: Columns, rows: Rows) -> Columns:
     if rows.all():
         return columns
     return {name: None if column is None else column[rows] for name, column in columns.items()}
+
+
+def measured_torque(torque: Floats | None) -> tuple[Floats | None, str]:
+    """A torque [N m], shape (n,), or None where it was not measured, and what is reported in place of it.
+
+    A driver that measures none reports nan or zero, or one of `_PLACEHOLDERS` all the time. Another constant
+    may be a load that is known.
+    """
+    if torque is None:
+        return None, ""
+    known = torque[np.isfinite(torque)]
+    if not known.size:
+        return None, "is not a number throughout"
+    largest = float(np.abs(known).max())
+    if largest <= _LEAST_TORQUE:
+        return None, "is zero throughout" if largest == 0.0 else f"is never beyond {largest:.3g} N m"
+    if float(np.ptp(known)) == 0.0 and largest in _PLACEHOLDERS:
+        return None, f"is {known[0]:.6g} N m throughout"
+    return torque, ""
 
 
 def _measured(values: Floats | None) -> Floats | None:
@@ -299,8 +365,7 @@ def _with_turns(angle: Floats, output: Floats, bag: Integers, segment: Integers,
 def segments(time: Floats, bag: Integers, gap: float) -> Integers:
     """Numbers of stretches without a gap [usual steps], a stamp that goes back, or another recording."""
     step = np.diff(time)
-    usual = np.median(step[step > 0.0])
-    breaks = (step > gap * usual) | (step <= 0.0) | (np.diff(bag) != 0)
+    breaks = (step > gap * usual_step(time)) | (step <= 0.0) | (np.diff(bag) != 0)
     return numbered(breaks)
 
 

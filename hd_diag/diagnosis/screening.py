@@ -138,9 +138,14 @@ def _other_units(record: Record, configured: Drive) -> Finding | None:
 
 
 def _lost_samples(record: Record) -> list[Finding]:
-    """Findings of files that are not whole, clocks set back, samples refused or without a partner."""
+    """Findings of a torque that is none, files that are not whole, clocks set back, samples left out."""
     refused, _, unpaired, set_back, problems, unstamped, others = record.stamps
     found = [Finding("second_publisher", text, float(len(others)), "-", False) for text in others]
+    if record.no_torque:
+        text = f"the torque {record.no_torque}: it counts as not measured"
+        if known := float(record.torque[0]):
+            text += f", and {known:g} N m as configured is assumed"
+        found.append(Finding("no_torque", text, float(record.torque[0]), "N m", False))
     if problems:
         found.append(Finding("incomplete", record.stamps.broken, float(len(problems)), "-", False))
     if set_back:

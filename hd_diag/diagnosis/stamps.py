@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,8 +28,9 @@ _MOVED = 0.1  # [rad]; over less a speed is noise
 
 
 def usual_step(time: Floats) -> float:
-    """Between stamps [s]: the median."""
-    return float(np.median(np.diff(time)))
+    """Between stamps that rise [s]: the median; nan where none does."""
+    step = np.diff(time)
+    return float(np.median(step[step > 0.0])) if (step > 0.0).any() else math.nan
 
 
 class Stamps(NamedTuple):

@@ -84,7 +84,15 @@ def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[
         "evidence": answer.evidence,
         "described": [_row(row) for row in diagnosis.order_table],
         "normal": usual
-        and {"accuracy": usual.limit, "measured": usual.value, "std": usual.std, "within": usual.within},
+        and answer.accuracy
+        and {
+            "accuracy": usual.limit,
+            "measured": usual.value,
+            "std": usual.std,
+            "turns": answer.accuracy.turns,
+            "place": usual.place,
+            "within": usual.within,
+        },
         "tolerance": assembly
         and most
         and {
@@ -92,6 +100,7 @@ def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[
             "std": assembly.std,
             "allowed": assembly.limit,
             "criterion": most.criterion,
+            "place": assembly.place,
             "within": assembly.within,
         },
         "encoder_zeros": _zeros(diagnosis),

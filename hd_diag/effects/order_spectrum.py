@@ -33,11 +33,12 @@ def spectrum(angle: Floats, residual: Floats, highest: float) -> tuple[Floats, F
 
 def travelled(angle: Floats) -> Floats:
     """Weights of samples (n,), in proportion to the angle that each covers, 1 in the mean."""
-    if angle.size < 2:
+    way = np.abs(np.gradient(angle)) if angle.size > 1 else np.zeros(angle.size)
+    if not way.any():
         return np.ones(angle.size)
-    way = np.abs(np.gradient(angle))
-    way = np.minimum(way, np.quantile(way, _FASTEST))  # where rows are left out it is no sample's own
-    return np.asarray(way / max(float(way.mean()), 1e-300))
+    most = float(np.quantile(way, _FASTEST)) or float(way.max())  # nearly all may rest
+    way = np.minimum(way, most)  # where rows are left out it is no sample's own
+    return np.asarray(way / way.mean())
 
 
 def integer_orders(angle: Floats, residual: Floats, highest: int) -> Floats:
@@ -54,9 +55,10 @@ def line_width(angle: Floats, leak: float) -> float:
     For samples that are spread evenly it is about one over the turns; more where a record dwells in parts of
     its way. The angle [rad] (n,) is continuous over the turns; the leak is that share.
     """
-    turn = np.floor((angle - np.min(angle)) / (2.0 * math.pi)).astype(np.int64)
-    count = np.bincount(turn, travelled(angle))
+    place = (angle - np.min(angle)) / (2.0 * math.pi)
+    turns = max(1.0, _OVERSAMPLING * float(place.max()) / _MOST_BINS)  # of a bin
+    count = np.bincount(np.floor(place / turns).astype(np.int64), travelled(angle))
     length = 2 ** math.ceil(math.log2(_OVERSAMPLING * max(count.size, 2)))
     window = np.abs(np.fft.rfft(count, length)) / angle.size
     last = int(np.flatnonzero(window > leak)[-1])
-    return (last + 1) / float(length)
+    return float((last + 1) / (length * turns))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import math
 from collections.abc import Mapping
@@ -113,14 +114,14 @@ def _page(task: Task, report: JointReport) -> str:
 
 def _not_judged(task: Task, reason: str) -> Row:
     """Columns where the angles cannot be judged: the ripple of the torque, or an ``error``."""
-    motion = read_motion([task.bag], task.joint)
+    motion = found = None
+    with contextlib.suppress(RecordError):
+        motion = read_motion([task.bag], task.joint)
+        if motion is not None:
+            columns = motion.time, motion.input_angle, motion.torque, motion.bag
+            found = ripple(*columns, task.joint.configured.kinematics)
     if motion is None:
         return {"error": reason}
-    columns = motion.time, motion.input_angle, motion.torque, motion.bag
-    try:
-        found = ripple(*columns, task.joint.configured.kinematics)
-    except RecordError:
-        found = None
     row: Row = {"error": reason}
     if found:
         row = {

@@ -16,7 +16,15 @@ from hd_diag.config.configuration import JointConfig
 from hd_diag.diagnosis.blocks import unwrapped
 from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.outliers import torque_outliers
-from hd_diag.diagnosis.record import Record, RecordError, prepare
+from hd_diag.diagnosis.record import (
+    GAP_STEPS,
+    Record,
+    RecordError,
+    check_speed,
+    measured_torque,
+    prepare,
+    segments,
+)
 from hd_diag.diagnosis.second_publisher import other_rows
 from hd_diag.diagnosis.stamps import UNTOLD, Stamps, doubtful_clock
 from hd_diag.formatting import listed
@@ -43,7 +51,7 @@ class _Samples(NamedTuple):
     stretch: Integers
     input_angle: Floats
     output_angle: Floats
-    torque: Floats
+    torque: Floats | None
     speed: Floats | None
     temperature: Floats | None
     stamps: Stamps
@@ -75,11 +83,13 @@ def nothing(paths: Sequence[str | Path], joint: JointConfig, stamps: Stamps | No
     given, measured = (place(*role) for role in roles)
     text = f"no input angle ({given}) with output angle ({measured}) in {', '.join(map(str, paths))}"
     if not _read_all(paths, joint, _is_input).time.size and (own := _one_angle(paths, joint)).time.size:
+        torque, no_torque = measured_torque(own.torque)
+        instead = f" (the reported one {no_torque})" if no_torque else ""
         ripple = "what the torque shows: hd-diag ripple"
         return own.stamps.after(
             f"{text}; one angle has no transmission error: the robot's driver would have to publish the "
             "motor encoder's angle, or its velocity (input: velocity); "
-            + (ripple if np.isfinite(own.torque).any() else "for hd-diag ripple an effort or a current")
+            + (ripple if torque is not None else f"for hd-diag ripple an effort or a current{instead}")
             + f"; whether another topic holds it: hd-diag topics {paths[0]}"
         )
     if stamps is not None and stamps.why:
@@ -92,7 +102,9 @@ class InputRecord:
     """Where a joint's input was and what it bore, whether or not its output was measured.
 
     Columns of shape (n,): time [s], angle, continuous over the turns [rad], torque on the link [N m] or None,
-    number of the recording. `stamps` tells what became of samples that are not in it.
+    number of the recording. `stamps` tells what became of samples that are not in it, `no_torque` what the
+    reported torque is where it is no measured one. RecordError where no
+    stamps rise, or the input turns faster than any.
     """
 
     time: Floats
@@ -100,6 +112,14 @@ class InputRecord:
     torque: Floats | None
     bag: Integers
     stamps: Stamps = UNTOLD
+    no_torque: str = ""
+
+    def __post_init__(self) -> None:
+        rising = (np.diff(self.time) > 0.0) & (np.diff(self.bag) == 0)
+        if not rising.any():
+            rows = f"{self.time.size} samples" if self.time.size else "no sample"
+            raise RecordError(f"too short: {rows} with all that is needed, and no two stamps that rise")
+        check_speed(self.time, self.input_angle, segments(self.time, self.bag, GAP_STEPS))
 
 
 def read_motion(paths: Sequence[str | Path], joint: JointConfig) -> InputRecord | None:
@@ -111,18 +131,18 @@ def read_motion(paths: Sequence[str | Path], joint: JointConfig) -> InputRecord 
     found = _read_all(paths, joint, _is_input)
     if is_single := not found.time.size:
         found = _one_angle(paths, joint)
-    known = np.isfinite(found.torque)
-    if not found.time.size or (is_single and not known.any()):
+    measured, no_torque = measured_torque(found.torque)
+    if not found.time.size or (is_single and measured is None):
         return None
     angle = found.input_angle
     for begin, end in bounds(found.stretch):
         if np.abs(angle[begin:end]).max() <= _TURN:
             angle[begin:end] = unwrapped(angle[begin:end])
     _check_clock(found, angle / joint.drive.kinematics.ratio)
-    if not known.any():
-        return InputRecord(found.time, angle, None, found.stretch, found.stamps)
-    torque, stretch = found.torque[known], found.stretch[known]
-    return InputRecord(found.time[known], angle[known], torque, stretch, found.stamps)
+    if measured is None:
+        return InputRecord(found.time, angle, None, found.stretch, found.stamps, no_torque)
+    known = np.isfinite(measured)
+    return InputRecord(found.time[known], angle[known], measured[known], found.stretch[known], found.stamps)
 
 
 def _check_clock(found: _Samples, output: Floats) -> None:
@@ -155,12 +175,14 @@ def _read_all(paths: Sequence[str | Path], joint: JointConfig, wanted: Callable[
             bags.append(columns)
     if not bags:
         nothing = np.zeros(0)
-        return _Samples(nothing, np.zeros(0, np.int64), nothing, nothing, nothing, None, None, stamps)
+        return _Samples(nothing, np.zeros(0, np.int64), nothing, nothing, None, None, None, stamps)
     columns = bags[0] if len(bags) == 1 else [np.concatenate(parts) for parts in zip(*bags, strict=True)]
     stamp, stretch, given, own, torque, speed, warm = columns
+    is_told = np.isfinite(torque).any() or joint.signals.torque is not None
     told_speed = speed if np.isfinite(speed).any() else None
     warmth = warm if warm.size == stamp.size else None
-    return _Samples(_seconds(stamp, stamp[0]), stretch, given, own, torque, told_speed, warmth, stamps)
+    told = torque if is_told else None, told_speed, warmth
+    return _Samples(_seconds(stamp, stamp[0]), stretch, given, own, *told, stamps)
 
 
 def _read(path: str | Path, joint: JointConfig, wanted: Callable[[Aligned], Any]) -> tuple[list[Any], Stamps]:

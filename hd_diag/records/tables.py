@@ -17,7 +17,7 @@ from hd_diag.config.configuration import JointConfig
 from hd_diag.diagnosis.blocks import unwrapped
 from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.outliers import torque_outliers
-from hd_diag.diagnosis.record import Record, RecordError, prepare
+from hd_diag.diagnosis.record import Record, RecordError, measured_torque, prepare
 from hd_diag.diagnosis.second_publisher import other_rows
 from hd_diag.diagnosis.stamps import Stamps, doubtful_clock
 from hd_diag.formatting import listed
@@ -109,9 +109,13 @@ def read_table_motion(paths: Sequence[str | Path], table: Table, joint: JointCon
     _follow(values, record)
     if angle == "output":
         values = values * joint.drive.kinematics.ratio
-    found["torque"][torque_outliers(found["torque"], record)] = inf
-    usable = np.isfinite(found["time"]) & np.isfinite(values) & np.isfinite(found["torque"])
-    return InputRecord(found["time"][usable], values[usable], found["torque"][usable], record[usable], stamps)
+    torque, no_torque = measured_torque(found["torque"])
+    usable = np.isfinite(found["time"]) & np.isfinite(values)
+    if torque is not None:
+        torque[torque_outliers(torque, record)] = inf
+        usable &= np.isfinite(torque)
+    known = torque if torque is None else torque[usable]
+    return InputRecord(found["time"][usable], values[usable], known, record[usable], stamps, no_torque)
 
 
 def columns_of(

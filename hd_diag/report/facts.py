@@ -163,9 +163,11 @@ def quality_of(
 ) -> list[Fact]:
     """What stamps [s], angles [rad] and torque [N m], if measured, of a record say, shape (n,) each.
 
-    `bag` says which recording each sample comes from; a step between two of them counts for nothing.
+    `bag` says which recording each sample comes from; a step between two of them counts for nothing, nor does
+    one between stamps that do not rise, of which there must be others.
     """
-    step = np.diff(time)[np.diff(bag) == 0]
+    rising = (np.diff(bag) == 0) & (np.diff(time) > 0.0)
+    step = np.diff(time)[rising]
     usual = float(np.median(step))
     near = step[step <= GAP_STEPS * usual]
     gaps = step[step > GAP_STEPS * usual]
@@ -173,7 +175,7 @@ def quality_of(
     moved = np.diff(input_angle)[np.diff(bag) == 0]
     way, reach = float(np.abs(moved).sum()), float(np.ptp(input_angle)) / _TURN
     forwards = float(moved[moved > 0.0].sum()) / max(way, 1e-300)
-    speed = np.abs(moved[step > 0.0] / step[step > 0.0]) / _TURN
+    speed = np.abs(np.diff(input_angle)[rising] / step) / _TURN
     ends = () if torque is None else (number(float(torque.min())), number(float(torque.max())))
     return [
         Fact("Samples used", f"{time.size:d}"),

@@ -25,6 +25,12 @@ from hd_diag.cli.targets import Problem
 from hd_diag.cli.verbs import bags, drives, records, ros
 from hd_diag.ros.stop_signals import signalled
 
+FAULT = "an error of hd-diag itself"
+"""What is said of an error that nobody expected."""
+
+_TRACEBACK = "HD_DIAG_TRACEBACK"  # environment variable: errors that nobody expected are raised
+_LONGEST_NAME = 200  # characters of a file's name that are shown
+
 
 class _Verbs(click.Group):
     """A group whose errors are one line on stderr."""
@@ -70,19 +76,27 @@ def _checked_output() -> Iterator[None]:
 
 
 def _outcome(error: Exception) -> tuple[int, str]:
-    """Exit code and line for an error that ended a verb; 1 is left to findings, whatever goes wrong."""
+    """Exit code and line for an error that ended a verb; 1 is left to findings, whatever goes wrong.
+
+    An error of the program itself is raised where the environment variable `_TRACEBACK` is set.
+    """
     if code := signalled(error):
         return code, "interrupted"
     if isinstance(error, click.ClickException):
         return error.exit_code, " ".join(error.format_message().split())
     if isinstance(error, ModuleNotFoundError) and error.name and not error.name.startswith("hd_diag"):
         return 2, f"{error}: python3 -m pip install {error.name}"  # numba, which rosdep cannot install
+    if os.environ.get(_TRACEBACK):
+        raise error
+    if isinstance(error, OSError):
+        name = "" if error.filename is None else f"{str(error.filename)[:_LONGEST_NAME]}: "
+        return 2, f"{name}{error.strerror or error}"
     if isinstance(error, MemoryError):
         return 2, "there is not enough memory"
     frames = traceback.extract_tb(error.__traceback__)
     place = next(f for f in reversed(frames) if "hd_diag" in f.filename)
     text = f"{type(error).__name__}: {error}".rstrip(": ").partition("\n")[0]
-    return 2, f"an error of hd-diag itself, please report it: {text} ({place.name}, line {place.lineno})"
+    return 2, f"{FAULT}, please report it: {text} ({place.name}, line {place.lineno})"
 
 
 @click.group(

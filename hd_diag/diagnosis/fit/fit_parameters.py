@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from hd_diag.arrays import Floats, Integers
+from hd_diag.diagnosis.fit.design import solve
 from hd_diag.drive import Drive
 from hd_diag.effects import recursions
 from hd_diag.effects.scaling import unit_scales
@@ -205,7 +206,7 @@ def bounded(
         rows = np.flatnonzero(held)
         wanted = (admissible(parameters + beta[:COUNT], configured) - parameters)[rows]
         spread = covariance[np.ix_(rows, rows)]
-        found = beta - covariance[:, rows] @ np.linalg.solve(spread, beta[rows] - wanted)
+        found = beta - covariance[:, rows] @ solve(spread, beta[rows] - wanted)
     return found, np.flatnonzero(held)
 
 

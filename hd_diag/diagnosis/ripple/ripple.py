@@ -24,7 +24,9 @@ from hd_diag.model.transmission_error import Kinematics
 MULTIPLES = (1.0, 2.0, 4.0)
 """Periods per turn of the wave generator: itself, its two lobes, and their double."""
 
-_PUBLISH = "the robot's driver would have to publish effort, or the current"
+NO_TORQUE = "the robot's driver would have to publish effort, or the current"
+"""What is said to those whose torque is not measured."""
+
 _TOO_FEW = "the samples are too far apart to resolve its waves; record faster, or"
 _LOWEST, _HIGHEST = 0.3, 4.5  # of the spectrum, per turn of the wave generator
 _MOST_WINDOWS = 200  # that a spectrum is made of
@@ -111,13 +113,13 @@ def ripple(
         Where the motion is too short, the samples are too far apart, or the torque does not change.
     """
     if torque is None:
-        raise RecordError(f"the torque is not in it: {_PUBLISH}")
+        raise RecordError(f"the torque is not in it: {NO_TORQUE}")
     kept = np.flatnonzero(np.isfinite(time) & np.isfinite(input_angle) & np.isfinite(torque))
     if not kept.size:
         raise RecordError("no row has a time, an angle and a torque that are numbers")
     time, torque, record = time[kept], torque[kept], record[kept]
     if float(np.ptp(torque)) == 0.0:
-        raise RecordError(f"the torque never changes: {_PUBLISH}")
+        raise RecordError(f"the torque never changes: {NO_TORQUE}")
     size, angle = abs(kinematics.ratio), np.sign(kinematics.ratio) * input_angle[kept]
     whole = windows(time, angle, torque, record)
     if whole.size < LEAST_WINDOWS:

@@ -1,0 +1,91 @@
+"""The error from peak to peak, as a catalogue states it, of records whose error is a closed form."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from joint_records import ARCSEC, RATIO, prepared
+
+from hd_diag.diagnosis.accuracy import Accuracy, accuracy
+from hd_diag.diagnosis.record import Record
+from hd_diag.model.transmission_error import Kinematics
+
+RATED = 56.0  # [N m]
+NOISE = 3.0  # [arcsec]
+
+
+def record(error: Any, seed: int = 0, turns: float = 1.2, noise: float = NOISE, rows: int = 6000) -> Record:
+    """There and back four times over some turns of the output, under a torque; the error [arcsec] is added.
+
+    It is a function of the input's angle [rad] and the torque over the rated one; torsion and friction of
+    300 and 20 arcsec are beside it.
+    """
+    time = np.arange(rows) / 100.0
+    angle = np.pi * turns * RATIO * (1.0 - np.cos(8.0 * np.pi * time / time[-1]))
+    load = 0.5 * np.sin(2.0 * np.pi * time / 7.3) + 0.1 * np.sin(angle / RATIO)
+    rng = np.random.default_rng(seed)
+    friction = 20.0 * np.tanh(np.gradient(angle, time) / 2.0)
+    whole = error(angle, load) + 300.0 * load - friction + noise * rng.standard_normal(rows)
+    output = angle / RATIO - ARCSEC * whole
+    return prepared({"time": time, "input": angle, "output": output, "torque": RATED * load})
+
+
+def found(given: Record, orders: tuple[float, ...] = (), noise: float = NOISE) -> Accuracy:
+    square = (noise * ARCSEC) ** 2
+    one = accuracy(given, Kinematics(RATIO), RATED, orders, (square, 0.05 * square))
+    return Accuracy(one.value / ARCSEC, one.std / ARCSEC, one.turns)
+
+
+def lobes(angle: np.ndarray, load: np.ndarray) -> np.ndarray:
+    return 30.0 * np.cos(2.0 * angle + 1.0)
+
+
+SHAPES: dict[str, tuple[Any, float]] = {
+    "one wave": (lobes, 60.0),
+    # Greatest at 30 + 20, least at -50: waves of other speeds meet each other in all ways over a turn.
+    "with a wave of the output": (lambda x, load: lobes(x, load) + 20.0 * np.cos(x / RATIO + 2.0), 100.0),
+    # cos 2x + cos 4x is 2 at zero and -9 / 8 where cos 2x = -1 / 4: no wave of its rms, 2.83.
+    "peaked": (lambda x, load: 20.0 * (np.cos(2.0 * x) + np.cos(4.0 * x)), 62.5),
+    # Ripple that goes with the torsion: without torque there is none of it.
+    "under load": (lambda x, load: lobes(x, load) * (1.0 + load), 60.0),
+    # An eccentric gear's error turns round with the torque.
+    "by the flank": (lambda x, load: lobes(x, load) * np.tanh(load / 0.05), 60.0),
+    "none": (lambda x, load: 0.0 * x, 0.0),
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_error_from_peak_to_peak(shape: str) -> None:
+    """Of eight records: within its own interval, and no larger for its noise."""
+    error, true = SHAPES[shape]
+    each = [found(record(error, seed)) for seed in range(8)]
+    mean, std = np.mean([one.value for one in each]), np.median([one.std for one in each])
+    assert mean == pytest.approx(true, abs=max(0.05 * true, 2.0))
+    assert std < 4.0
+    assert {one.turns for one in each} == {1.0}
+
+
+def test_a_wave_that_was_found_counts_by_its_own_peaks() -> None:
+    """A line of no gear beside the lobes: unknown it counts as one more wave beside them, not on top."""
+
+    def both(angle: np.ndarray, load: np.ndarray) -> np.ndarray:
+        return lobes(angle, load) + 20.0 * np.cos(3.372 * angle)
+
+    assert found(record(both), (3.372,)).value == pytest.approx(100.0, abs=3.0)
+    assert found(record(both)).value == pytest.approx(np.hypot(60.0, 40.0), abs=3.0)
+
+
+def test_what_the_record_does_not_cover_is_told() -> None:
+    """Of a third of a turn, its own part of the shape: a slow wave looks like torsion and offsets there."""
+    part = found(record(lobes, turns=0.3))
+    assert part.turns == pytest.approx(0.3, abs=0.03)
+    assert part.value == pytest.approx(60.0, abs=3.0)
+
+
+def test_beside_much_noise_it_is_off_by_its_deviation() -> None:
+    """In 20 records whose noise is as large as the wave, without a bias."""
+    each = [found(record(lobes, seed, noise=30.0, rows=1000), noise=30.0) for seed in range(20)]
+    off = np.array([one.value - 60.0 for one in each])
+    std = np.median([one.std for one in each])
+    assert 0.4 * std < np.sqrt(np.mean(off**2)) < 1.2 * std < 12.0
+    assert abs(off.mean()) < 3.0

@@ -1,0 +1,61 @@
+"""Records of any make: every verb ends with a result or one line, never with a fault of its own."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_runner import hd_diag
+from random_records import GEARS, case
+
+from hd_diag.cli.verbs import FAULT
+
+
+@pytest.fixture(scope="module")
+def gears(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Parameter files of some gears."""
+    files = [tmp_path_factory.mktemp("gears") / f"{number}.yaml" for number in range(len(GEARS))]
+    for words, file in zip(GEARS, files, strict=True):
+        assert hd_diag("gear", *words, "--out", file).exit_code == 0
+    return files
+
+
+def assert_ended_well(words: tuple[str, ...], config: Path) -> None:
+    """Code 0 with a result, or 2 with one line that says why; nothing else on stderr."""
+    result = hd_diag(*words, "--config", config)
+    assert isinstance(result.exception, SystemExit | None)
+    assert result.exit_code in (0, 2), (words, result.output)
+    assert FAULT not in result.stderr, (words, result.stderr)
+    assert len(result.stderr.splitlines()) == (result.exit_code == 2 and not result.stdout)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_records_of_any_make(seed: int, gears: list[Path], tmp_path: Path) -> None:
+    made = case(seed, tmp_path)
+    assert_ended_well(made.arguments, gears[made.gear])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(100, 500))
+def test_many_records_of_any_make(seed: int, gears: list[Path], tmp_path: Path) -> None:
+    made = case(seed, tmp_path)
+    assert_ended_well(made.arguments, gears[made.gear])
+
+
+@pytest.mark.slow
+def test_a_thousand_short_moves(gears: list[Path], tmp_path: Path) -> None:
+    """Each of a second at 100 Hz: runs of less than a four-hundredth of the record."""
+    rng, moves = np.random.default_rng(0), 700
+    share = np.linspace(0.0, 1.0, 100)
+    steps = rng.uniform(-150.0, 150.0, moves)
+    smooth = np.concatenate((share**3 * (10.0 - share * (15.0 - 6.0 * share)), np.ones(50)))
+    angle = (np.cumsum(steps) - steps)[:, None] + steps[:, None] * smooth
+    time, angle = 0.01 * np.arange(angle.size), angle.ravel()
+    torque = 20.0 * np.sin(angle / 100.0) + 0.3 * rng.standard_normal(angle.size)
+    output = angle / 100.0 - torque / 3e4 + 1e-5 * rng.standard_normal(angle.size)
+    file = tmp_path / "moves.csv"
+    rows = np.stack((time, angle, output, torque), axis=1)
+    np.savetxt(file, rows, fmt="%.9g", delimiter=",", header="t,x,y,q", comments="")
+    words = ("diagnose", str(file), "--columns", "time=t,input=x,output=y,torque=q", "--time-limit", "0")
+    result = hd_diag(*words, "--config", gears[0])
+    assert result.exit_code == 0, result.output
+    assert "runs): nominal" in result.stdout  # whole runs are held out
