@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Arc
 
 from hd_diag.arrays import Floats
+from hd_diag.model.flank_chain import FlankChain
 from hd_diag.model.geometry import Geometry
 from hd_diag.model.neutral_curve import tooth_axes
 from hd_diag.model.tooth_profile import DoubleArc
@@ -141,6 +142,7 @@ def _profile(axes: Axes, geometry: Geometry, name: str) -> None:
         flank, colour, zero = geometry.circular_spline_slot, _CIRCULAR_SPLINE, "circular_spline_datum"
         low = geometry.circular_spline_tip_radius - geometry.circular_spline_datum
         high, ends = geometry.slot_end, {"tip radius − datum": low}
+    assert isinstance(flank, DoubleArc)  # whose arcs are drawn
     outline = _outline(flank, low, high) * _MM
     axes.plot(outline.imag, outline.real, color=colour, lw=0.8)
     half = outline[:_POINTS]
@@ -172,7 +174,9 @@ def _profile(axes: Axes, geometry: Geometry, name: str) -> None:
     axes.set_ylabel("x outward [mm]", fontsize=7.0)
 
 
-def _outline(flank: DoubleArc, low: float, high: float) -> np.ndarray[Any, np.dtype[np.complex128]]:
+def _outline(
+    flank: DoubleArc | FlankChain, low: float, high: float
+) -> np.ndarray[Any, np.dtype[np.complex128]]:
     """Points of both sides, x + iy [m]: the counter-clockwise one from its start to its end, and back."""
     x: Floats = np.linspace(low, high, _POINTS)
     side = x + 1j * np.array([flank.half_width(float(each)) for each in x])

@@ -338,6 +338,16 @@ a bit of the summary flipped | verbs on bags | told; the chunks are read
     test_bag_recover.py::test_a_damaged_summary_is_told
 both angles in degrees | diagnose | code 2; says so first
     test_signal_findings.py::test_both_angles_in_degrees
+a torque that is zero, nan or a placeholder throughout | verbs on records | told; counts as not measured
+    test_record.py::test_a_torque_that_is_none_is_told
+a record in pieces of a few samples | diagnose, report | code 2; says how many are in pieces long enough
+    test_record.py::test_a_record_in_pieces_too_short_to_tell_noise_is_refused
+an output angle that never moves | diagnose | code 2; says where it stands
+    test_record.py::test_an_output_that_never_moves_is_refused
+an input faster than any drive, by its unit or its stamps | diagnose, report, ripple | code 2; asks for units
+    test_record.py::test_an_input_faster_than_any_drive_is_refused_before_anything_is_spread_over_its_turns
+stdout or stderr that is closed or full | verbs | code 0 or 2, no more than one line
+    test_cli.py::test_streams_that_are_closed_or_full
 a torque in another unit, such as N mm | diagnose | code 2; asks for its unit first
     test_signal_findings.py::test_a_torque_that_no_gear_bears
 a torque behind a low-pass | ripple | no bound for what the filter takes off: its corner, and how slow to move

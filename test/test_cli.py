@@ -490,3 +490,25 @@ def test_a_mesh_is_swept_into_a_table_and_drawn(tmp_path: Path) -> None:
     assert_one_line_error(hd_diag("mesh", "--sweep", "angle"), "--sweep needs --out or --figure")
     assert_one_line_error(hd_diag("mesh", "--eccentricity-um", "900"), "--eccentricity-um", "must add up to")
     assert_one_line_error(hd_diag("mesh", "--eccentricity-um", "nan"), "--eccentricity-um must be a number")
+
+
+@pytest.mark.parametrize(
+    ("streams", "code"), [(">&-", 0), ("2>&-", 0), ("<&- >&- 2>&-", 0), ("2>/dev/full", 0), (">/dev/full", 2)]
+)
+def test_streams_that_are_closed_or_full(streams: str, code: int, tmp_path: Path) -> None:
+    """Nothing is said, or one line on stderr; files that are opened get no standard stream's number."""
+    words = f"{shlex.quote(sys.executable)} -m hd_diag check {config_file(tmp_path)} {streams}"
+    done = subprocess.run(["sh", "-c", words], capture_output=True, text=True, check=False)
+    assert (done.returncode, len(done.stderr.splitlines())) == (code, code // 2)
+
+
+def test_names_that_no_disk_takes_are_one_line(tmp_path: Path) -> None:
+    for words in (
+        ("check", config_file(tmp_path), "--json"),
+        ("check",),
+        ("diagnose",),
+        ("recover", "x", "--out"),
+    ):
+        result = hd_diag(*words, "a" * 5000)
+        assert (result.exit_code, len(result.stderr.splitlines())) == (2, 1)
+        assert "too long" in result.stderr or "exist" in result.stderr

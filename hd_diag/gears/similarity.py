@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from hd_diag.model.cams import Ellipse
+from hd_diag.model.flank_chain import FlankChain
 from hd_diag.model.geometry import Geometry
 from hd_diag.model.tooth_profile import DoubleArc
 
@@ -75,7 +76,9 @@ def moved(geometry: Geometry, shift: float) -> Geometry:
     return replace(geometry, circular_spline_datum=datum, circular_spline_tip_radius=tip)
 
 
-def _scaled(flank: DoubleArc, k: float) -> DoubleArc:
+def _scaled(flank: DoubleArc | FlankChain, k: float) -> DoubleArc:
+    assert isinstance(flank, DoubleArc)  # as the example drive's are
+
     def point(center: tuple[float, float]) -> tuple[float, float]:
         return round(k * center[0], _DIGITS), round(k * center[1], _DIGITS)
 

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from hd_diag.arrays import Complexes, Floats
 from hd_diag.drive import Drive
 from hd_diag.messages.encoding import HEADER, text
+from hd_diag.model.flank_chain import FlankChain
 from hd_diag.model.geometry import Geometry
 from hd_diag.model.neutral_curve import tooth_axes
 from hd_diag.model.tooth_profile import DoubleArc
@@ -201,7 +202,7 @@ def _slots(geometry: Geometry) -> Floats:
     return _flat(np.append(ring, ring[0]))
 
 
-def _flank(profile: DoubleArc, start: float, end: float) -> Complexes:
+def _flank(profile: DoubleArc | FlankChain, start: float, end: float) -> Complexes:
     """Counter-clockwise flank between two heights [m], x + iy."""
     heights = np.linspace(start, end, _FLANK_POINTS)
     # Where a slot ends its half width is 0, and nan if rounding puts the height beyond.
