@@ -232,8 +232,3 @@ def test_a_verb_loads_what_it_needs_alone(words: str, may: set[str], tmp_path: P
     run = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert run.returncode == 0
     assert set(run.stderr.split()) & {*SLOW, "hd_diag.effects", "hd_diag.bag.reader"} <= may
-
-
-def test_no_module_is_longer_than_its_limit() -> None:
-    lengths = {name: len(path.read_text(encoding="utf-8").splitlines()) for name, path in PACKAGE.items()}
-    assert {name: length for name, length in lengths.items() if length > 350} == {}

@@ -1,12 +1,15 @@
 """The node on messages of other types, as far as they are installed here."""
 
+import time
 from pathlib import Path
 from typing import Any
 
+import live
 import pytest
 from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
 from live import MS, START
 from logs import content
+from rosgraph_msgs.msg import Clock
 from running import running
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -124,3 +127,19 @@ def test_a_mapping_that_cannot_be_is_told_at_the_start(given: dict[str, Any], sa
 def start(config: Any) -> None:
     check_types(config)
     sources(config, lambda topic: f"/{topic.lstrip('/')}")
+
+
+def test_a_clock_as_fast_as_the_samples_costs_none(tmp_path: Path) -> None:
+    """Between two samples stands a message of the clock in DDS, which holds 2000 samples."""
+    given = live.parameters(use_sim_time=True, diagnostics_rate=10.0)
+    with running(tmp_path, given) as rig:
+        rig.values("joint_1", lambda values: values["prediction"] == "map")
+        clock, source = rig.publisher("clock", Clock), rig.publisher()
+        count, now, begin = 5000, Clock(), time.monotonic()
+        for number in range(count):
+            now.clock.sec, now.clock.nanosec = divmod(START + number * MS, 10**9)
+            clock.publish(now)
+            source.publish(live.sample(START + number * MS, 1e-4 * number, 0.0, 1.0))
+            time.sleep(max(0.0, begin + number * 1e-3 - time.monotonic()))
+        values = rig.values("joint_1", lambda values: int(values["samples"]) == count)
+        assert (values["samples_missed"], values["messages_lost"]) == ("0", "0")

@@ -107,14 +107,15 @@ class DiagnosticNode(Node):
         ]
         self._seen = Publishers(self, self._inputs)
         self._told_lost, self._busy, self._worked, self._paced = 0, 0.0, 0.0, 0.0
+        self._others = 0  # messages taken that are no samples
         for joint in config.joints:
             if joint.signals.temperature is None:
                 take = partial(self._survive, "a temperature was dropped", self._temperature, joint.name)
                 subscribe_temperature(self, joint.name, take)
-        backward = JumpThreshold(
-            min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False
+        every = JumpThreshold(
+            min_forward=Duration(nanoseconds=1), min_backward=Duration(nanoseconds=-1), on_clock_change=False
         )
-        self._jumps = self.get_clock().create_jump_callback(backward, post_callback=self._on_jump)
+        self._jumps = self.get_clock().create_jump_callback(every, post_callback=self._on_clock)
         refused = "parameters were accepted and are not in force"
         self._server.serve(partial(self._survive, refused, self._put_in_force))
         self._show_log_state()
@@ -155,8 +156,8 @@ class DiagnosticNode(Node):
                 time.sleep(max(0.0, min(pause, self._worked + _GATHER - time.monotonic())))
             executor.spin_once(timeout_sec=0.0 if self._waiting else pause)
             now, taken = time.monotonic(), -1  # what waits in DDS may be dropped there, silently
-            while taken != self._waiting.taken and time.monotonic() - now < _DRAIN_PERIOD:
-                taken = self._waiting.taken
+            while taken != self._taken and time.monotonic() - now < _DRAIN_PERIOD:
+                taken = self._taken
                 executor.spin_once(timeout_sec=0.0)
         except ExternalShutdownException:
             raise
@@ -164,6 +165,11 @@ class DiagnosticNode(Node):
             self.get_logger().error(f"a request was dropped: {error!r}", throttle_duration_sec=5.0)
         if self._waiting:
             self._work()
+
+    @property
+    def _taken(self) -> int:
+        """Messages taken from DDS; those of a fast clock stand between samples there."""
+        return self._waiting.taken + self._others
 
     def close(self) -> None:
         """Report once more and finish the log."""
@@ -220,6 +226,7 @@ class DiagnosticNode(Node):
         self._session.messages(received, [(reader, data) for _, reader, data in some], heard)
 
     def _temperature(self, joint: str, data: bytes) -> None:
+        self._others += 1
         self._log.write(self._names[temperature_topic(joint)], TEMPERATURE, data, self._now())
         self._session.temperature(joint, data)
 
@@ -265,11 +272,14 @@ class DiagnosticNode(Node):
             else:
                 self.get_logger().info(f"log {state}")
 
-    def _on_jump(self, jump: Any) -> None:
-        """The clock was set back by less than stamps show by themselves, as by a short bag that begins anew.
+    def _on_clock(self, jump: Any) -> None:
+        """The clock was set, back by less than stamps show by themselves where a short bag begins anew.
 
         Samples may come a little before their clock: those that are less than half the jump ahead are new.
         """
+        self._others += 1
+        if jump.delta.nanoseconds > 0:
+            return
         self._catch_up()
         back = abs(jump.delta.nanoseconds)
         if back < CLOCK_JUMP:
