@@ -202,7 +202,6 @@ def test_a_wrong_ratio_fails_on_request_at_once(tmp_path: Path) -> None:
         ({}, ["--columns", "time=time,input=nothing,output=output"], "has no column 'nothing'"),
         ({}, ["--columns", "time=time,input"], "--columns takes pairs like"),
         ({}, ["--columns", "time=time,input=input"], "--columns needs output"),
-        ({}, [], "a.csv"),
         ({}, ["--columns", COLUMNS, "--joint", "elbow"], "no joint 'elbow' in the configuration"),
         (
             {},

@@ -19,6 +19,7 @@ OTHER = config(
     "a", "b", array_rate=40.0, a__eccentricity__magnitude=7e-6, a__torque=-2.0, b__cup_compliance=1e-5
 )
 MAPS = {joint.name: map_of(joint) for joint in CONFIG.joints}
+SAME = "; where stamps stay the same, `stamp: reception` takes the time of reception"
 EVERYTHING = ("a_motor", "a", "b_motor", "b")
 
 
@@ -136,8 +137,8 @@ def test_other_names_begin_the_stream_anew() -> None:
         (states(("a_motor", "a"), [START], [[0.1, np.nan]]), "output angle of a is nan"),
         (states(("a_motor", "a"), [START], [[0.1, 0.1]], [[0, -np.inf]]), "effort of a is -inf"),
         (states(("a_motor", "a"), [START], [[0.1, 0.1]], [[0, np.nan]]), "effort of a is nan"),
-        (states(("a_motor",), [START - MS], [[0.1]]), "stamp of a_motor repeats the last"),
-        (states(("a",), [START - MS], [[0.1]]), "stamp of a repeats the last"),
+        (states(("a_motor",), [START - MS], [[0.1]]), f"stamp of a_motor repeats the last{SAME}"),
+        (states(("a",), [START - MS], [[0.1]]), f"stamp of a repeats the last{SAME}"),
         (
             states(("a_motor",), [START - 251 * MS], [[0.1]]),
             "stamp of a_motor is 0.250000 s before the last",

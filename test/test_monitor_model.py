@@ -79,7 +79,8 @@ def columns(count: int = COUNT, velocity: bool = False, model: ExtendedModel | N
 
 
 def rows(all_rows: JointStates, at: slice) -> JointStates:
-    parts = [None if c is None else c[at] for c in all_rows[4:]]
+    columns = (all_rows.position, all_rows.velocity, all_rows.effort, all_rows.signals)
+    parts = [None if c is None else c[at] for c in columns]
     return JointStates(all_rows.row[at], all_rows.stamp[at], all_rows.names, "", *parts)
 
 

@@ -32,8 +32,8 @@ KEYS = {
     "": "schema joint record nominal refit causes unexplained extended noise_floor gain testability model "
     "verdict judgement described normal; findings hints evidence tolerance encoder_zeros motor_current "
     "left_out",
-    "record": "samples duration input_turns runs; has_torque outliers dropped refused unpaired "
-    "clock_set_back last_refusal problems",
+    "record": "samples duration input_turns runs; has_torque outliers dropped refused unpaired stamps_zero "
+    "second_publisher clock_set_back last_refusal problems",
     "nominal": "rms",
     "refit": "rms parameters trustworthy",
     "causes": "name class parameters amplitude gain p_value explanation inspect",
@@ -138,6 +138,7 @@ def test_numbers_are_si_and_those_of_the_diagnosis() -> None:
     told = as_json(made, "joint_1")
     counts = {"samples": 800, "runs": 1, "has_torque": True, "outliers": 0, "dropped": 0}
     counts |= {"refused": 0, "unpaired": 0, "clock_set_back": 0, "last_refusal": "", "problems": []}
+    counts |= {"stamps_zero": 0, "second_publisher": []}
     motion = {"duration": pytest.approx(3.995), "input_turns": pytest.approx(made.record.extent.input_turns)}
     assert told["record"] == counts | motion
     assert told["nominal"]["rms"] == told["gain"]["rms_nominal"] == pytest.approx(20.0 * ARCSEC)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -218,7 +219,8 @@ def prepare(
     columns = _kept(columns, keep)
     _check_whole(columns["segment"])
     _check_motion(columns["input_angle"], columns["output_angle"], ratio)
-    check_speed(columns["time"], columns["input_angle"], columns["segment"])
+    if not _in_counts(columns["input_angle"], columns["output_angle"], ratio):
+        check_speed(columns["time"], columns["input_angle"], columns["segment"])
     time, load, heat, segment = (columns.pop(n) for n in ("time", "torque", "temperature", "segment"))
     step = usual_step(time)
     speed = rate(columns["input_angle"], segment, step, _SPEED_WINDOW)
@@ -270,6 +272,16 @@ def _check_motion(angle: Floats, output: Floats, ratio: float) -> None:
         raise RecordError(text + swapped * (abs(ratio) > 1.0 and followed > np.pi))
     if followed <= _ROUNDING * float(np.abs(output).max()):
         raise RecordError(f"no motion: the output angle is {output[0]:.6g} rad throughout")
+
+
+def _in_counts(angle: Floats, output: Floats, ratio: float) -> bool:
+    """Whether the input (n,) is as many times too fast for the output (n,) as counts of some bits a turn are.
+
+    A finding tells these better.
+    """
+    times = float(np.ptp(angle)) / max(abs(ratio) * float(np.ptp(output)), 1e-300)
+    bits = math.log2(max(2.0 * math.pi * times, 1.0))
+    return bits > 9.5 and abs(bits - round(bits)) < 0.02
 
 
 def check_speed(time: Floats, angle: Floats, segment: Integers) -> None:

@@ -87,13 +87,15 @@ class OverTime(NamedTuple):
 def stages(diagnosis: Diagnosis, plain: LinearisedFit | None) -> Stages:
     """Residual of each stage of the model; `plain` is the fit to the whole record without causes."""
     rows = usable(diagnosis.record)
+    if plain is not None:  # which may leave out more
+        rows = rows & plain.data.mask
     record, configured = diagnosis.record.select(rows), diagnosis.configured
     error = record.output_angle - record.input_angle / configured.kinematics.ratio
     first = error - fit_parameters.along(configured, configured, record.input_angle, record.torque)[0]
     offset = float(first.mean()) if diagnosis.model is None else diagnosis.model.offset
     residual = {NOMINAL: first - first.mean()}
     if plain is not None:
-        residual[REFIT] = plain.remainder(())
+        residual[REFIT] = plain.remainder(())[rows[plain.data.mask]]
     if diagnosis.model is not None and (diagnosis.causes or diagnosis.hints):
         whole, model = diagnosis.record, diagnosis.model
         residual[EXTENDED] = running_residual(model, whole, whole.torque, model.coarse_map)[rows]
