@@ -58,6 +58,7 @@ from hd_diag.streams.rules import CLOCK_JUMP
 _QOS = RELIABLE._replace(depth=INPUT_DEPTH)
 _LOOP_PERIOD = 0.05  # longest sleep between looks at the clock, the log and finished maps [s]
 _DRAIN_PERIOD = 0.01  # longest time in which what DDS holds is taken [s]
+_IDLE = 3  # turns of the executor without a message, after which DDS has none: others' events stand between
 _GATHER = 0.004  # from some samples to the next, while these come faster [s]
 _TOGETHER = 64  # most messages that are processed at once
 _BEHIND = 0.1  # age of a sample from which on the node does less of the rest [s]
@@ -153,18 +154,24 @@ class DiagnosticNode(Node):
         pause = self.housekeeping()
         try:
             if not self._waiting:
-                time.sleep(max(0.0, min(pause, self._worked + _GATHER - time.monotonic())))
+                time.sleep(max(0.0, min(pause, self._worked + self._gather - time.monotonic())))
             executor.spin_once(timeout_sec=0.0 if self._waiting else pause)
-            now, taken = time.monotonic(), -1  # what waits in DDS may be dropped there, silently
-            while taken != self._taken and time.monotonic() - now < _DRAIN_PERIOD:
+            now, idle = time.monotonic(), 0  # what waits in DDS may be dropped there, silently
+            while idle < _IDLE and time.monotonic() - now < _DRAIN_PERIOD:
                 taken = self._taken
                 executor.spin_once(timeout_sec=0.0)
+                idle = 0 if self._taken != taken else idle + 1
         except ExternalShutdownException:
             raise
         except Exception as error:  # samples wait: no pause, whatever goes wrong
             self.get_logger().error(f"a request was dropped: {error!r}", throttle_duration_sec=5.0)
         if self._waiting:
             self._work()
+
+    @property
+    def _gather(self) -> float:
+        """Samples do not gather [s] by simulated time, where every message of the clock is one more to take."""
+        return 0.0 if self.get_clock().ros_time_is_active else _GATHER
 
     @property
     def _taken(self) -> int:
