@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from rclpy.clock import JumpThreshold
+from rclpy.clock import JumpThreshold, ROSClock
 from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
@@ -170,8 +170,9 @@ class DiagnosticNode(Node):
 
     @property
     def _gather(self) -> float:
-        """Samples do not gather [s] by simulated time, where every message of the clock is one more to take."""
-        return 0.0 if self.get_clock().ros_time_is_active else _GATHER
+        """Samples do not gather [s] by simulated time: each message of the clock is one more to take."""
+        clock = self.get_clock()
+        return 0.0 if isinstance(clock, ROSClock) and clock.ros_time_is_active else _GATHER
 
     @property
     def _taken(self) -> int:
