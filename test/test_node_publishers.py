@@ -47,7 +47,7 @@ class Bench:
 
     def __init__(self) -> None:
         self.node = rclpy.create_node("listener")
-        taken = SignalInput(self.node, SignalTopic("/bench/joint_states", JOINT_STATE), lambda _: None)
+        taken = SignalInput(self.node, SignalTopic("/bench/joint_states", JOINT_STATE), lambda *_: None)
         self.seen = Publishers(self.node, [taken], length=0.2, rest=0.02)
         self.joints = config("elbow", "wrist").joints
         self.made: dict[str, tuple[Node, Any, tuple[str, ...]]] = {}

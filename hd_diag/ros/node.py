@@ -53,6 +53,7 @@ from hd_diag.ros.subscriptions import (
     sources,
     subscribe_temperature,
 )
+from hd_diag.ros.withheld import Withheld
 from hd_diag.streams.rules import CLOCK_JUMP
 
 _QOS = RELIABLE._replace(depth=INPUT_DEPTH)
@@ -63,6 +64,7 @@ _GATHER = 0.004  # from some samples to the next, while these come faster [s]
 _TOGETHER = 64  # most messages that are processed at once
 _BEHIND = 0.1  # age of a sample from which on the node does less of the rest [s]
 _CATCH_UP = 0.5  # longest that a change waits for samples of before [s]
+_LATE = 1.0  # wait of a sample that is a warning [s]
 _LEAST_SHARE = 2.0**-12
 _WINDOW = 1.0  # in which it is judged whether there is time for more [s]
 # Longest wait for the interpreter while a map is built beside [s]: a tenth of a sample at 1 kHz; Python's own
@@ -107,6 +109,7 @@ class DiagnosticNode(Node):
             for source, reader in zip(self._sources, self._readers, strict=True)
         ]
         self._seen = Publishers(self, self._inputs)
+        self._withheld = Withheld(self, self._inputs)
         self._told_lost, self._busy, self._worked, self._paced = 0, 0.0, 0.0, 0.0
         self._others = 0  # messages taken that are no samples
         for joint in config.joints:
@@ -135,6 +138,8 @@ class DiagnosticNode(Node):
             for each in self._inputs:
                 each.follow_publishers()
             self._survive("a look at publishers failed", self._seen.look)
+            silences = [*self._session.monitor.silence(time.monotonic_ns()).values()]
+            self._survive("a look for messages failed", self._withheld.look, silences)
             self._show_log_state()
             if now >= self._next_report:
                 period = 1.0 / self._session.config.diagnostics_rate
@@ -184,6 +189,7 @@ class DiagnosticNode(Node):
         with contextlib.suppress(Exception):
             self._report()
         self._seen.close()
+        self._withheld.close()
         self._builder.close()
         self._log.close()
 
@@ -245,7 +251,10 @@ class DiagnosticNode(Node):
         faults = self._seen.faults(self._session.config.joints)
         if lost > self._told_lost:
             faults.append(f"{lost - self._told_lost} messages were lost since the last report")
-        self._told_lost = lost
+        late = max(self._waiting.longest, self._waiting.age)
+        if late > _LATE:
+            faults.append(f"the node cannot keep up: messages waited up to {late:.1f} s")
+        self._told_lost, self._waiting.longest = lost, 0.0
         facts = {
             "latency_p99_us": f"{latency:.1f}",
             **self._log.facts,

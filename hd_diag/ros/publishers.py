@@ -9,21 +9,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import rclpy
 from rclpy.node import Node
-from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from hd_diag.monitor.settings import JointConfig
-from hd_diag.ros.message_types import message_class
+from hd_diag.ros.second_reader import SecondReader
 from hd_diag.ros.subscriptions import SignalInput
 
 _LENGTH = 1.0  # of a look [s]
 _REST = 10.0  # from one look to the next [s]
 _DEPTH = 50  # messages that wait between two steps of a look, as long as they are small
 _RECEIVED = np.zeros(1, np.int64)  # stands for a time that is not used
-# Beside it a node has a service that describes types, which nothing here would answer.
-_NO_SERVICE = [Parameter("start_type_description_service", value=False)]
 
 
 class Numbers:
@@ -45,46 +40,27 @@ class Numbers:
 
 
 class Look:
-    """A second subscription to a topic for a short time, which gets the numbers of its messages.
-
-    It belongs to a node of its own, which no executor serves: the events executor gives no numbers.
-    """
+    """A second reader of a topic for a short time, which gets the numbers of its messages."""
 
     def __init__(self, beside: Node, taken: SignalInput, names: set[str]) -> None:
         self.numbers = Numbers()
-        source = taken.source
-        self._names = names | source.signals.keys()
-        self._reader = source.reader()
-        self._node = rclpy.create_node(
-            "_hd_diag_look",
-            context=beside.context,
-            namespace=beside.get_namespace(),
-            use_global_arguments=False,
-            enable_rosout=False,
-            start_parameter_services=False,
-            parameter_overrides=_NO_SERVICE,
-        )
-        profile = QoSProfile(depth=min(_DEPTH, taken.depth), reliability=ReliabilityPolicy.BEST_EFFORT)
-        own = message_class(source.type_name), source.topic, lambda _: None, profile
-        self._subscription = self._node.create_subscription(*own, raw=True)
+        self._names = names | taken.source.signals.keys()
+        self._reader = taken.source.reader()
+        self._second = SecondReader(beside, "_hd_diag_look", taken, _DEPTH)
 
     def take(self) -> None:
         """Take what has come since the last time."""
-        for _ in range(_DEPTH):
-            with self._subscription.handle:
-                taken = self._subscription.handle.take_message(self._subscription.msg_type, True)
-            if taken is None:
-                return
-            number = taken[1]["publication_sequence_number"]
+        for data, info in self._second.take():
+            number = info["publication_sequence_number"]
             if number is None:  # some implementations give none
                 continue
             with contextlib.suppress(ValueError):  # the node itself tells what cannot be read
-                states = self._reader.one(taken[0], _RECEIVED)
+                states = self._reader.one(data, _RECEIVED)
                 self.numbers.take(number, self._names & {*states.names, *states.keys})
 
     def close(self) -> None:
         """Leave nothing behind."""
-        self._node.destroy_node()
+        self._second.close()
 
 
 @dataclass

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from inspect import signature
 from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventTypeError
@@ -20,6 +21,7 @@ from hd_diag.messages.fields import FieldReader
 from hd_diag.messages.joint_states import JOINT_STATE, JointStateReader
 from hd_diag.messages.publications import INPUT, temperature_topic
 from hd_diag.ros.message_types import definition_of, message_class
+from hd_diag.ros.numbers import Identity, Missing, identity
 from hd_diag.streams.signals import ROLES, Signal, key
 
 INPUT_DEPTH = 2000
@@ -27,7 +29,6 @@ INPUT_DEPTH = 2000
 
 MOST_BYTES = 16 << 20
 """That may wait in DDS, and as many in the node."""
-
 
 _OBJECTS = 300  # bytes that Python takes for a message that waits
 
@@ -90,17 +91,35 @@ def _signals(config: Config) -> Iterator[tuple[str, str, Signal]]:
 class SignalInput:
     """Reliable subscription to a topic, in CDR; best effort once a publisher offers no more.
 
-    At most `depth` messages wait in DDS; `lost` counts those that DDS says were lost. The last was `heard` at
-    a time on the monotonic clock [s], or else the subscription was made then.
+    At most `depth` messages wait in DDS. The last was `heard` at a time on the monotonic clock [s], or else
+    the subscription was made then; the last ones are `given`. `take` takes each in CDR, and how long it has
+    waited in DDS [s].
     """
 
-    def __init__(self, node: Node, source: SignalTopic, take: Callable[[bytes], None]) -> None:
+    def __init__(self, node: Node, source: SignalTopic, take: Callable[[bytes, float], None]) -> None:
         self.source = source
-        self.depth, self.lost, self.heard = INPUT_DEPTH, 0, time.monotonic()
+        self.depth, self.heard = INPUT_DEPTH, time.monotonic()
+        self.given: dict[Identity, None] = {}
         self._node, self._take = node, take
         self._wanted = self._offered = ReliabilityPolicy.RELIABLE
-        self._largest = 1
-        self._subscription = self._subscribe()
+        self._largest, self._lost, self._missing = 1, 0, Missing()
+        self._subscription = self._former = self._subscribe()
+
+    @property
+    def lost(self) -> int:
+        """Number of messages that were lost: as DDS says, or more where the messages' numbers show more.
+
+        Of what gives way to newer ones, or is withheld, DDS says nothing.
+        """
+        return max(self._lost, self._missing.count)
+
+    def begin_anew(self, withheld: Iterable[int]) -> None:
+        """Subscribe anew, as messages with these numbers are withheld, in the order of their arrival."""
+        for number in withheld:
+            self._missing.withheld(number)
+        self._change()
+        why = "withholds what follows a message that cannot be read: subscribed anew"
+        self._node.get_logger().warning(f"{self.source.topic} {why}", throttle_duration_sec=5.0)
 
     def follow_publishers(self) -> None:
         """Subscribe as the publishers need it.
@@ -108,6 +127,7 @@ class SignalInput:
         With best effort where one offers no more, or nothing would arrive; to fewer messages where they are
         so large that those that wait would fill the memory.
         """
+        self._missing.publishers(self._node.count_publishers(self.source.topic))
         depth = max(1, min(INPUT_DEPTH, MOST_BYTES // self._largest))
         if self._wanted != self._offered:
             what = "is published with best effort: subscribed likewise"
@@ -116,12 +136,16 @@ class SignalInput:
         else:
             return
         self._wanted, self.depth = self._offered, depth
-        self._node.destroy_subscription(self._subscription)
-        self._subscription = self._subscribe()
+        self._change()
         self._node.get_logger().info(f"{self.source.topic} {what}")
 
+    def _change(self) -> None:
+        self._former = self._subscription  # not let go yet: the executor may still hold an event of it
+        self._node.destroy_subscription(self._former)
+        self._subscription = self._subscribe()
+
     def _subscribe(self) -> Any:
-        own = message_class(self.source.type_name), self.source.topic, self._on_message
+        own = message_class(self.source.type_name), self.source.topic, _with_info(self._on_message)
         profile = QoSProfile(depth=self.depth, reliability=self._wanted)
         events = SubscriptionEventCallbacks(
             incompatible_qos=self._on_incompatible_qos, message_lost=self._on_lost
@@ -132,27 +156,50 @@ class SignalInput:
             events.message_lost = None
             return self._node.create_subscription(*own, profile, event_callbacks=events, raw=True)
 
-    def _on_message(self, data: bytes) -> None:
+    def _on_message(self, data: bytes, info: Mapping[str, Any]) -> None:
         self._largest, self.heard = max(self._largest, len(data)), time.monotonic()
-        self._take(data)
+        own = identity(info)
+        if own is not None:
+            self.given[own] = None
+            if len(self.given) > INPUT_DEPTH:
+                del self.given[next(iter(self.given))]
+            if not self._missing.follows(own[1]):  # a loss, or a publisher that has just begun
+                self._missing.publishers(self._node.count_publishers(self.source.topic))
+            self._missing.take(own[1])
+        waited = max(0.0, 1e-9 * (time.time_ns() - info["received_timestamp"]))
+        self._take(data, waited)
 
     def _on_lost(self, event: Any) -> None:
-        self.lost += event.total_count_change
+        self._lost += event.total_count_change
 
     def _on_incompatible_qos(self, _: Any) -> None:
         # Acted on later: the executor is still busy with the subscription.
         self._offered = ReliabilityPolicy.BEST_EFFORT
 
 
+def _with_info(take: Callable[[bytes, Mapping[str, Any]], None]) -> Callable[..., None]:
+    """A callback that asks for a message and what came with it.
+
+    The events executor of rclpy 7.1 gives both as one tuple, later ones as two arguments.
+    """
+
+    def on_message(*given: Any) -> None:
+        take(*(given[0] if len(given) == 1 else given))
+
+    on_message.__signature__ = signature(lambda message, info: None)  # type: ignore[attr-defined]
+    return on_message
+
+
 class Waiting:
     """Messages that wait for their turn, bounded by bytes: the oldest give way.
 
     DDS drops silently what its reader has no room for; so all is taken from it at once. How many were `taken`
-    and `dropped` is counted.
+    and `dropped` is counted; `longest` is the longest that one waited, until somebody sets it back [s].
     """
 
     def __init__(self) -> None:
         self.taken = self.dropped = self._bytes = 0
+        self.longest = 0.0
         self._messages: deque[tuple[float, tuple[SignalTopic, Reader, bytes]]] = deque()
 
     def __len__(self) -> int:
@@ -163,17 +210,18 @@ class Waiting:
         """How long the oldest has waited [s]."""
         return time.monotonic() - self._messages[0][0] if self._messages else 0.0
 
-    def put(self, source: SignalTopic, reader: Reader, data: bytes) -> None:
-        """Append a message; the oldest are dropped beyond `MOST_BYTES`."""
+    def put(self, source: SignalTopic, reader: Reader, data: bytes, waited: float = 0.0) -> None:
+        """Append a message that has waited elsewhere [s]; the oldest are dropped beyond `MOST_BYTES`."""
         self.taken += 1
         self._bytes += len(data) + _OBJECTS
-        self._messages.append((time.monotonic(), (source, reader, data)))
+        self._messages.append((time.monotonic() - waited, (source, reader, data)))
         while self._bytes > MOST_BYTES and len(self._messages) > 1:
             self.dropped += 1
             self.get()
 
     def get(self) -> tuple[SignalTopic, Reader, bytes]:
         """Remove and give the oldest message."""
+        self.longest = max(self.longest, self.age)
         _, message = self._messages.popleft()
         self._bytes -= len(message[-1]) + _OBJECTS
         return message

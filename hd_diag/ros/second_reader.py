@@ -1,0 +1,52 @@
+"""A second reader beside a subscription, which gives the numbers of messages too."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import rclpy
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+from hd_diag.ros.message_types import message_class
+from hd_diag.ros.subscriptions import SignalInput
+
+# Beside it a node has a service that describes types, which nothing here would answer.
+_NO_SERVICE = [Parameter("start_type_description_service", value=False)]
+
+
+class SecondReader:
+    """A reader with best effort beside a subscription, of a node of its own, which no executor serves.
+
+    At most `depth` messages wait in it, and not more than in the subscription.
+    """
+
+    def __init__(self, beside: Node, name: str, taken: SignalInput, depth: int) -> None:
+        self._depth = min(depth, taken.depth)
+        self._node = rclpy.create_node(
+            name,
+            context=beside.context,
+            namespace=beside.get_namespace(),
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+            parameter_overrides=_NO_SERVICE,
+        )
+        profile = QoSProfile(depth=self._depth, reliability=ReliabilityPolicy.BEST_EFFORT)
+        own = message_class(taken.source.type_name), taken.source.topic, lambda _: None, profile
+        self._subscription = self._node.create_subscription(*own, raw=True)
+
+    def take(self) -> Iterator[tuple[bytes, Mapping[str, Any]]]:
+        """What has come since the last time: messages in CDR, each with what came with it."""
+        for _ in range(self._depth):
+            with self._subscription.handle:
+                taken = self._subscription.handle.take_message(self._subscription.msg_type, True)
+            if taken is None:
+                return
+            yield taken
+
+    def close(self) -> None:
+        """Leave nothing behind."""
+        self._node.destroy_node()

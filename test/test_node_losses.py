@@ -1,0 +1,158 @@
+"""What does not come to a node in the usual way, over DDS between processes: none is lost in silence."""
+
+import itertools
+import signal
+import time
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from live import MS, START, parameters, sample
+from running import PUBLISHER_DEPTH, Rig, feed, running, values_of
+
+from hd_diag.ros.numbers import Missing
+from hd_diag.ros.subscriptions import INPUT_DEPTH
+
+QUICK = {"diagnostics_rate": 10.0}
+
+
+def accounted(values: dict[str, str]) -> int:
+    names = ("samples", "samples_rejected", "messages_without_joint", "messages_lost")
+    return sum(int(values[name]) for name in names)
+
+
+def warned(rig: Rig, said: str) -> bool:
+    return any(said in values_of(each)["warning"] for array in rig.reports for each in array.status)
+
+
+@pytest.mark.usefixtures("ros")
+@pytest.mark.parametrize(("before", "rate", "least"), [(0, 1000.0, 0), (5, 100.0, 300)])
+def test_what_a_message_without_a_payload_holds_up_is_counted_and_the_rest_is_taken(
+    before: int, rate: float, least: int, tmp_path: Path
+) -> None:
+    """Fast DDS asks for it anew as long as its publisher keeps it, and withholds all that follow.
+
+    Those that come fast are over before this is known: they are counted.
+    """
+    stamps, published = itertools.count(START, MS), before + 1 + 800
+    with running(tmp_path, parameters(**QUICK)) as rig:
+        publisher = rig.publisher()
+        feed(publisher, stamps, before)
+        publisher.publish(b"")
+        feed(publisher, stamps, 800, rate)
+        values = rig.values("joint_1", lambda v: accounted(v) >= published)
+        assert accounted(values) == published < PUBLISHER_DEPTH
+        assert int(values["samples"]) >= before + least
+        assert values["samples_rejected"] == "0"
+        assert warned(rig, "messages were lost since the last report")
+        assert "withholds what follows a message that cannot be read" in rig.process.output()
+        lost = values["messages_lost"]
+        feed(publisher, stamps, 100)
+        values = rig.values("joint_1", lambda v: accounted(v) >= published + 100)
+        assert (accounted(values), values["messages_lost"]) == (published + 100, lost)
+
+
+@pytest.mark.usefixtures("ros")
+def test_one_of_two_publishers_is_held_up(tmp_path: Path) -> None:
+    """The topic is never silent: the joint is."""
+    stamps = itertools.count(START, MS)
+    with running(tmp_path, parameters("elbow", "wrist", **QUICK)) as rig:
+        held, other = rig.publisher(), rig.publisher()
+        counts = {"elbow": 0, "wrist": 0}
+
+        def both(count: int) -> None:
+            for _ in range(count):
+                for publisher, joint in ((held, "elbow"), (other, "wrist")):
+                    publisher.publish(sample(next(stamps), 0.0, 0.0, 0.0, joint))
+                    counts[joint] += 1
+                time.sleep(0.01)
+
+        both(20)
+        held.publish(b"")
+        rig.values("elbow", lambda v: int(v["samples"]) > 60, lambda: both(2))
+        both(20)
+
+        def all_told(wrist: dict[str, str]) -> bool:
+            elbow = int(rig.values("elbow")["samples"])
+            return elbow + int(wrist["samples"]) + int(wrist["messages_lost"]) == sum(counts.values()) + 1
+
+        told = rig.values("wrist", all_told)
+        assert told["samples_rejected"] == "0"
+        assert int(told["samples"]) > 0.9 * counts["wrist"]
+
+
+@pytest.mark.usefixtures("ros")
+def test_all_of_a_flood_is_accounted_for_and_said(tmp_path: Path) -> None:
+    """What gives way in DDS, of which it says nothing, is counted; what waited is a warning."""
+    count, stop, go_on = 12_000, 2000, 9000
+    with running(tmp_path, parameters(**QUICK)) as rig:
+        publisher = rig.publisher()
+        rig.acknowledged(publisher)
+        begin = time.monotonic()
+        for number in range(count):
+            if number in (stop, go_on):
+                rig.process.popen.send_signal(signal.SIGSTOP if number == stop else signal.SIGCONT)
+            publisher.publish(sample(START + number * MS // 5, 0.0, 0.0, 0.0))
+            time.sleep(max(0.0, begin + number / 5000.0 - time.monotonic()))
+        values = rig.values("joint_1", lambda v: accounted(v) >= count)
+        assert accounted(values) == count
+        assert int(values["messages_lost"]) >= go_on - stop - max(INPUT_DEPTH, PUBLISHER_DEPTH)
+        assert warned(rig, "messages were lost since the last report")
+        assert warned(rig, "the node cannot keep up: messages waited up to")
+
+
+STEPS = st.lists(st.tuples(st.integers(0, 2), st.integers(1, 5)), max_size=60)
+
+
+@given(STEPS, st.integers(1, 2**40))
+def test_what_is_missing_is_counted_by_numbers(steps: list[tuple[int, int]], first: int) -> None:
+    """Of one publisher exactly, wherever it begins."""
+    missing, number, true = Missing(), first, 0
+    missing.publishers(1)
+    missing.take(number)
+    for _, step in steps:
+        number += step
+        true += step - 1
+        missing.take(number)
+    assert missing.count == true
+
+
+@given(STEPS)
+def test_publishers_with_numbers_far_apart_are_told_apart(steps: list[tuple[int, int]]) -> None:
+    missing, last, true = Missing(), [10**6, 2 * 10**6, 3 * 10**6], 0
+    missing.publishers(3)
+    for number in last:
+        missing.take(number)
+    missing._found -= 10.0  # they were found long ago
+    for which, step in steps:
+        last[which] += step
+        true += step - 1
+        missing.take(last[which])
+    assert missing.count == true
+
+
+def test_a_publisher_that_begins_is_no_loss() -> None:
+    missing = Missing()
+    missing.publishers(1)
+    for number in (7, 8, 9):
+        missing.take(number)
+    missing.publishers(2)
+    for number in (300, 10, 301, 1, 2):  # the last two are of one that follows
+        missing.take(number)
+    assert missing.count == 0
+
+
+@pytest.mark.parametrize(
+    ("given", "first", "true"), [((), 5000, 21), ((), 2, 21), ((), 40, 59), ((7, 8), 20, 31)]
+)
+def test_what_was_withheld_is_missing(given: tuple[int, ...], first: int, true: int) -> None:
+    """One unreadable before the first that is known, or all of a publisher that has just begun."""
+    missing = Missing()
+    missing.publishers(1)
+    for number in given:
+        missing.take(number)
+    for number in (first, first + 3):
+        missing.withheld(number)
+    missing.take(first + 20)
+    assert missing.count == true
