@@ -29,7 +29,7 @@ from hd_diag.diagnosis.record import Record, prepare
 from hd_diag.diagnosis.verdict import sentence
 from hd_diag.drive import Drive
 
-PARAMETERS = fit_parameters.COUNT
+PARAMETERS = fit_parameters.TILT.start  # of the generator's drives, which have one section
 CONFIGURED = resolve({}).joints[0].drive
 ORDER_TOLERANCE = 0.02
 MISFIT = 1.3  # held-out residual over true noise from which something must be said
@@ -278,7 +278,7 @@ def covered(found: Diagnosis, made: records.Record) -> int:
     parameters = found.refitted.parameters[:PARAMETERS]
     spread = np.sqrt(np.diag(found.refitted.covariance))[:PARAMETERS]
     truth = fit_parameters.vector(drive(as_seen(made)), found.configured)
-    offs = (parameters - truth, parameters - fit_parameters.MIRRORED * truth)
+    offs = tuple(parameters - one for one in fit_parameters.alike(truth, found.configured))
     off = min(offs, key=lambda x: float(np.hypot(*x[:2]) + np.hypot(*x[2:4])))
     return int(np.sum(np.abs(off) < 1.96 * spread))
 

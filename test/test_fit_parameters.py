@@ -14,16 +14,29 @@ from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.drive import Drive, transmission_error
 
 CONFIGURED = joint().drive
-MIRROR = fit_parameters.MIRRORED
-POINT = fit_parameters.vector(CONFIGURED, CONFIGURED) + np.array([8.0, -5.0, 2.0, 1.0, 6.0, 0.7, 2.0])
+PARAMETERS = fit_parameters.count(CONFIGURED)
+RING = joint(face_width=11e-3, sections=3).drive
+CUP = joint(face_width=11e-3, cup_length=40e-3, sections=3).drive
+ASTRAY = np.array([8.0, -5.0, 2.0, 1.0, 6.0, 0.7, 2.0, 5.0, 8.0])
+
+
+def astray(configured: Drive) -> np.ndarray:
+    """Parameters of a drive that is not as configured."""
+    point = fit_parameters.vector(configured, configured)
+    return point + ASTRAY[: point.size]
+
+
+POINT = astray(CONFIGURED)
 DRIVE = fit_parameters.drive_of(POINT, CONFIGURED)
 ANGLE, TORQUE = np.random.default_rng(0).uniform([[0.0], [-60.0]], [[60.0], [60.0]], (2, 400))
 LONG_ANGLE = 40.0 * np.arange(21_000) / 500.0
 LONG_TORQUE = 50.0 * np.sin(np.arange(21_000) / 500.0)
 
 
-def error(point: np.ndarray, angle: np.ndarray = ANGLE, torque: np.ndarray = TORQUE) -> np.ndarray:
-    return transmission_error(fit_parameters.drive_of(point, CONFIGURED), angle, torque)
+def error(
+    point: np.ndarray, angle: np.ndarray = ANGLE, torque: np.ndarray = TORQUE, configured: Drive = CONFIGURED
+) -> np.ndarray:
+    return transmission_error(fit_parameters.drive_of(point, configured), angle, torque)
 
 
 def test_vector_and_drive_are_inverse_with_these_units() -> None:
@@ -35,14 +48,20 @@ def test_vector_and_drive_are_inverse_with_these_units() -> None:
     assert DRIVE.cup_compliance == pytest.approx(2.0 * ARCSEC, rel=1e-12)
 
 
-@pytest.mark.parametrize("index", range(fit_parameters.COUNT))
-def test_derivatives_are_finite_differences(index: int) -> None:
+@pytest.mark.parametrize(
+    ("configured", "index"),
+    [(CONFIGURED, index) for index in range(PARAMETERS)] + [(CUP, index) for index in (0, 3, 7, 8)],
+)
+def test_derivatives_are_finite_differences(configured: Drive, index: int) -> None:
     """Piecewise smooth: in a step of 2e-3 units about one moment in a hundred gains or loses a contact."""
-    step = np.zeros(fit_parameters.COUNT)
+    point = astray(configured)
+    step = np.zeros(point.size)
     step[index] = 1e-3
-    difference = (error(POINT + step) - error(POINT - step)) / 2e-3
-    value, jacobian, _ = fit_parameters.along(DRIVE, CONFIGURED, ANGLE, TORQUE)
-    assert_allclose(value, error(POINT), rtol=0, atol=1e-12)
+    ends = (error(point + side * step, configured=configured) for side in (1.0, -1.0))
+    difference = np.subtract(*ends) / 2e-3
+    drive = fit_parameters.drive_of(point, configured)
+    value, jacobian, _ = fit_parameters.along(drive, configured, ANGLE, TORQUE)
+    assert_allclose(value, error(point, configured=configured), rtol=0, atol=1e-12)
     miss = np.abs(jacobian[:, index] - difference) / np.abs(difference).max()
     assert np.quantile(miss, 0.97) < 1e-5
     assert miss.max() < 0.05
@@ -66,14 +85,21 @@ def test_slope_by_torque_is_a_finite_difference() -> None:
     assert np.std(slope[loaded] - difference) < 0.05 * np.mean(np.abs(difference))
 
 
-def test_half_a_turn_of_all_displacements_is_the_same_drive() -> None:
-    assert_allclose(error(POINT * MIRROR), error(POINT), rtol=0, atol=1e-12)
-    covariance = np.diag(np.arange(1.0, 8.0) ** 2) * 1e-2
-    one, other = (fit_parameters.physical(p, covariance, CONFIGURED) for p in (POINT, POINT * MIRROR))
-    assert one.keys() == other.keys()
-    for name, value in one.items():
-        assert other[name] == pytest.approx(value), name
-    assert 0.0 <= one["eccentricity.direction"]["value"] < np.pi
+@pytest.mark.parametrize("configured", [CONFIGURED, CUP, RING], ids=["plane", "cup", "ring"])
+def test_displacements_that_are_turned_are_the_same_drive(configured: Drive) -> None:
+    """All by half a turn; of a ring the tilt alone too."""
+    point = astray(configured)
+    covariance = np.diag(np.arange(1.0, 1.0 + point.size) ** 2) * 1e-2
+    plain = fit_parameters.physical(point, covariance, configured)
+    for other in fit_parameters.alike(point, configured):
+        own = error(other, configured=configured)
+        assert_allclose(own, error(point, configured=configured), rtol=0, atol=1e-12)
+        told = fit_parameters.physical(other, covariance, configured)
+        assert told.keys() == plain.keys()
+        for name, value in plain.items():
+            assert told[name] == pytest.approx(value), name
+    assert len(fit_parameters.alike(point, configured)) == (4 if configured is RING else 2)
+    assert 0.0 <= plain["eccentricity.direction"]["value"] < np.pi
 
 
 @pytest.mark.parametrize(
@@ -94,16 +120,20 @@ def test_what_people_read(name: str, value: float, std: float, unit: str, config
 
 def test_a_direction_of_nothing_is_not_known() -> None:
     point = np.array([1e-3] * 4 + [0.0] * 3) + fit_parameters.vector(CONFIGURED, CONFIGURED)
-    told = fit_parameters.physical(point, np.eye(fit_parameters.COUNT), CONFIGURED)
+    told = fit_parameters.physical(point, np.eye(PARAMETERS), CONFIGURED)
     assert told["eccentricity.direction"]["std"] == pytest.approx(np.pi / np.sqrt(12.0))
 
 
-@given(st.lists(st.floats(-1e5, 1e5), min_size=fit_parameters.COUNT, max_size=fit_parameters.COUNT))
-def test_any_step_ends_in_a_drive(values: list[float]) -> None:
-    point = fit_parameters.admissible(np.array(values), CONFIGURED)
-    assert_allclose(fit_parameters.admissible(point, CONFIGURED), point, rtol=1e-12)
+SHORT = joint(face_width=11e-3, cup_length=16e-3, sections=5).drive
+
+
+@given(st.lists(st.floats(-1e5, 1e5), min_size=9, max_size=9), st.sampled_from([CONFIGURED, CUP, SHORT]))
+def test_any_step_ends_in_a_drive(values: list[float], configured: Drive) -> None:
+    given_ = np.array(values)[: fit_parameters.count(configured)]
+    point = fit_parameters.admissible(given_, configured)
+    assert_allclose(fit_parameters.admissible(point, configured), point, rtol=1e-12)
     assert np.hypot(*point[:2]) < 45.1
-    assert fit_parameters.drive_of(np.array(values), CONFIGURED).mesh.tooth_compliance > 0.0
+    assert fit_parameters.drive_of(given_, configured).mesh.tooth_compliance > 0.0
 
 
 def test_a_long_record_is_solved_at_nodes() -> None:

@@ -18,7 +18,8 @@ TRUTH = {
     "torsional_hardening": (-6e-6, 8e-6, 11.0, 30.0, 0.1),
     "hysteresis": (1e-4, 6e-5, 9.0, 1.6, 2.0, 1.5),
 }
-MODEL = fit_parameters.COUNT + 1  # and the encoders' offset
+PARAMETERS = fit_parameters.count(CONFIGURED)
+MODEL = PARAMETERS + 1  # and the encoders' offset
 
 
 Case = tuple[Effect, tuple[float, ...], LinearisedFit]
@@ -42,8 +43,8 @@ def test_nonlinear_values_are_returned(case: Case) -> None:
     values = np.concatenate((found.fit(chosen)[0][place[:2]], chosen[0][1]))
     assert np.all(np.abs(values - expected) < 4.0 * deviation)
     assert np.all(deviation < 0.25 * np.abs(expected))
-    moved = found.fit(chosen)[0][: fit_parameters.COUNT] + found.parameters - start.parameters
-    assert np.all(np.abs(moved) < 4.0 * np.sqrt(np.diag(spread))[: fit_parameters.COUNT])
+    moved = found.fit(chosen)[0][:PARAMETERS] + found.parameters - start.parameters
+    assert np.all(np.abs(moved) < 4.0 * np.sqrt(np.diag(spread))[:PARAMETERS])
 
 
 def test_a_fit_reaches_the_end_of_a_valley() -> None:

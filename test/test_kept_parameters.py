@@ -14,8 +14,10 @@ from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.search.causes import Search, parameters_of
-from hd_diag.diagnosis.search.kept_parameters import DISPLACEMENTS, GROUPS, Kept, keeping, kept_parameters
+from hd_diag.diagnosis.search.kept_parameters import DISPLACEMENTS, Kept, keeping, kept_parameters
 
+GROUPS = fit_parameters.groups(CONFIGURED)
+PARAMETERS = fit_parameters.count(CONFIGURED)
 AS_CONFIGURED = fit_parameters.vector(CONFIGURED, CONFIGURED)
 
 
@@ -67,7 +69,7 @@ def test_what_is_held_widens_the_intervals_of_what_it_moves() -> None:
     """A drive that is nearly as configured is held there; the others then answer for it."""
     free = settle(bench(), ())
     fit, kept = kept_parameters(free, ())
-    others = [number for number in range(fit_parameters.COUNT) if number not in kept.held]
+    others = [number for number in range(PARAMETERS) if number not in kept.held]
     assert kept.held
     assert others
     (before, plain), (after, wide) = parameters_of(Search(free, ())), kept.spread(Search(fit, ()))
@@ -150,7 +152,7 @@ def test_what_lies_at_a_bound_has_no_deviation() -> None:
     point = AS_CONFIGURED.copy()
     point[0] = 1614.0
     told = fit_parameters.physical(
-        fit_parameters.admissible(point, CONFIGURED), np.eye(fit_parameters.COUNT), CONFIGURED
+        fit_parameters.admissible(point, CONFIGURED), np.eye(PARAMETERS), CONFIGURED
     )
     assert told["eccentricity.magnitude"]["value"] == pytest.approx(45e-6)
     assert np.isnan(told["eccentricity.magnitude"]["std"])

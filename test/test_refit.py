@@ -15,6 +15,7 @@ from numpy.testing import assert_array_equal
 
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit import refit as module
+from hd_diag.diagnosis.fit.fit_parameters import swapped
 from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import linearise
 from hd_diag.diagnosis.fit.refit import FEW_STARTS, distinct, nuisance, refit, usable
@@ -22,7 +23,7 @@ from hd_diag.diagnosis.record import Record, prepare
 from hd_diag.diagnosis.search.causes import Search, parameters_of
 
 RNG = np.random.default_rng(0)
-MIRROR = fit_parameters.MIRRORED
+PARAMETERS = fit_parameters.count(CONFIGURED)
 
 
 @functools.cache
@@ -39,8 +40,8 @@ def away(point: np.ndarray, truth: Base) -> np.ndarray:
     displacements = np.array([truth.e, truth.runout]) * np.exp(1j * np.array([truth.psi, truth.runout_psi]))
     compliance = truth.compliance / CONFIGURED.mesh.tooth_compliance
     numbers = [*displacements.view(float), truth.datum, compliance, truth.cup]
-    expected = np.array(numbers) / [scale.si for scale in fit_parameters.SCALES]
-    return min((point - expected, point - MIRROR * expected), key=lambda x: float(np.hypot(*x[:2])))
+    expected = np.array(numbers) / fit_parameters.units(CONFIGURED)
+    return min((point - expected, point - swapped(expected)), key=lambda x: float(np.hypot(*x[:2])))
 
 
 @pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.slow)])
@@ -122,17 +123,17 @@ FAR = POINT + np.array([0.0, 12.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
 def test_mirrored_drives_are_the_same() -> None:
-    assert len(distinct([POINT, POINT * MIRROR, POINT])) == 1
-    found = distinct([FAR * MIRROR, POINT, FAR, POINT * MIRROR])
-    assert [point.tolist() for point in found] == [(FAR * MIRROR).tolist(), POINT.tolist()]
+    assert len(distinct([POINT, swapped(POINT), POINT])) == 1
+    found = distinct([swapped(FAR), POINT, FAR, swapped(POINT)])
+    assert [point.tolist() for point in found] == [swapped(FAR).tolist(), POINT.tolist()]
     assert distinct([]) == []
 
 
-@pytest.mark.parametrize("index", range(fit_parameters.COUNT))
+@pytest.mark.parametrize("index", range(PARAMETERS))
 def test_drives_that_are_near_are_the_same(index: int) -> None:
-    step = np.zeros(fit_parameters.COUNT)
+    step = np.zeros(PARAMETERS)
     step[index] = module._NEAR[index]
-    assert len(distinct([POINT, POINT + 0.9 * step, (POINT - 0.9 * step) * MIRROR])) == 1
+    assert len(distinct([POINT, POINT + 0.9 * step, swapped(POINT - 0.9 * step)])) == 1
     assert len(distinct([POINT, POINT + 1.1 * step])) == 2
 
 
@@ -147,7 +148,7 @@ def short() -> Record:
         (FAR, 5.0, False),
         (FAR, 11.9, False),
         (FAR, 12.1, True),
-        (POINT * MIRROR, 0.0, True),
+        (swapped(POINT), 0.0, True),
         (POINT + 0.01, 0.0, True),
     ],
 )
@@ -168,7 +169,7 @@ def test_trust_is_lost_to_another_minimum_as_good(
 def test_starts_of_either_lobe_end_in_the_same_drive(short: Record) -> None:
     found = [
         refit(short, CONFIGURED, np.random.default_rng(0), start=point, starts=FEW_STARTS[:1])
-        for point in (TRUE, TRUE * MIRROR)
+        for point in (TRUE, swapped(TRUE))
     ]
     assert len(distinct([one.parameters for one in found] + [TRUE])) == 1
     assert [one.trustworthy for one in found] == [True, True]

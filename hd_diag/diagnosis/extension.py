@@ -24,14 +24,14 @@ def extended_model(found: Search, configured: Drive, record: Record) -> Extended
     It is valid in the range of the record that it was fitted to.
     """
     beta, _, _ = found.fit.fit(found.chosen)
-    drive = fit_parameters.drive_of(found.fit.parameters + beta[: fit_parameters.COUNT], configured)
+    drive = fit_parameters.drive_of(found.fit.parameters + beta[: found.fit.parameters.size], configured)
     known = [(cause.effect, cause.coefficients, cause.nonlinear) for cause in found.causes]
     sized = found.fit.sized(found.chosen, beta)
     known += [(effect, one, nonlinear) for (effect, nonlinear), one in sized if effect.given]
     known += [(ORDER_LINE, row.coefficients, row.nonlinear) for row in found.table if row.repeats]
     terms = tuple(_term(*one) for one in known)
     zeros = found.fit.data.offsets  # each recording has its own, a joint that runs their mean
-    offset = float(zeros.mean(axis=0) @ beta[fit_parameters.COUNT :][: zeros.shape[1]])
+    offset = float(zeros.mean(axis=0) @ beta[found.fit.parameters.size :][: zeros.shape[1]])
     return ExtendedModel(drive, terms, offset, _ranges(record))
 
 
@@ -39,7 +39,7 @@ def encoder_zeros(found: Search) -> Floats:
     """Zero of the encoders, output against input, in each recording that is fitted [rad], shape (k,)."""
     data = found.fit.data
     first = np.unique(data.record.bag, return_index=True)[1]
-    own = found.fit.fit(found.chosen)[0][fit_parameters.COUNT :][: data.offsets.shape[1]]
+    own = found.fit.fit(found.chosen)[0][found.fit.parameters.size :][: data.offsets.shape[1]]
     return np.asarray(data.offsets[first] @ own)
 
 

@@ -14,7 +14,7 @@ from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.refit import usable
 from hd_diag.diagnosis.gain import MISFIT
-from hd_diag.diagnosis.search.kept_parameters import DISPLACEMENTS, GROUPS, PLAIN, TWO_SIDED
+from hd_diag.diagnosis.search.kept_parameters import DISPLACEMENTS, PLAIN, TWO_SIDED
 from hd_diag.formatting import ARCSEC, words
 
 Judgement = Literal["as_configured", "parameters", "causes", "described", "misfit", "not_judged"]
@@ -115,7 +115,7 @@ class Answer:
                 continue
             entry = found.parameters[name if name in found.parameters else f"{name}.magnitude"]
             off = abs(entry["value"] - entry["configured"])
-            sigmas = math.sqrt(PLAIN) if self.vague and name in DISPLACEMENTS else _SIGMAS
+            sigmas = math.sqrt(PLAIN) if self.vague and name in (*DISPLACEMENTS, "tilt") else _SIGMAS
             if off > sigmas * entry["std"] and explains > least:
                 number = (entry["value"], entry["std"], entry["configured"], entry["unit"])
                 changed.append(Change(name, *number, explains))
@@ -192,7 +192,7 @@ def _parameter_sizes(diagnosis: Diagnosis) -> dict[str, float]:
         return fit_parameters.along(drive, configured, record.input_angle, record.torque)[0]
 
     whole, sizes = error(refitted.parameters), {}
-    for name, numbers in GROUPS.items():
+    for name, numbers in fit_parameters.groups(configured).items():
         without = refitted.parameters.copy()
         without[list(numbers)] = as_configured[list(numbers)]
         sizes[name] = float(np.nanstd(whole - error(without)))

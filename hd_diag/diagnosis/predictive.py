@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hd_diag.diagnosis.fit.fit_parameters import groups
 from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.diagnosis.fit.refit import usable
@@ -15,7 +16,6 @@ from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.search.causes import Search, causes, refitted
 from hd_diag.diagnosis.search.kept_parameters import (
     DISPLACEMENTS,
-    GROUPS,
     Kept,
     is_displaced,
     keeping,
@@ -86,7 +86,7 @@ def most_predictive(
         found = Search(settle(plain, rest) if rest else plain, (), rest)
         best = tried(*kept_parameters(found.fit, rest), found)
     if best.gain.low <= 0.0:
-        best = tried(*keeping(found.fit, found.chosen, GROUPS), found)
+        best = tried(*keeping(found.fit, found.chosen, groups(found.fit.data.configured)), found)
     found = with_table(best.found)
     if any(row.repeats for row in found.table):
         rms, gain = measured_gain(record, test, which, plain, found, best.every, rng)

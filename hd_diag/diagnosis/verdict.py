@@ -11,6 +11,7 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.findings import Finding
+from hd_diag.diagnosis.fit.fit_parameters import direction_period
 from hd_diag.diagnosis.gain import Gain, Rms
 from hd_diag.diagnosis.judgement import Answer, Change, first_words
 from hd_diag.diagnosis.search.causes import Cause
@@ -36,6 +37,11 @@ _HOW_TO_FIND = (
     "counter-clockwise from where the wave generator's long axis stands at input angle zero "
     "(wave_generator_phase); an axis points to either side, so 180° more is the same"
 )
+_DISPLACED = {
+    "eccentricity": ("the eccentricity", 1e6, "µm"),
+    "runout": ("the wave generator's runout", 1e6, "µm"),
+    "tilt": ("the wave generator's tilt", 1e3, "mrad"),
+}  # in words, and as people state it
 _SAME_ORDER = 0.02  # of an order, by which two estimates of it may differ
 _PER = {"input": "per input turn", "output": "per output turn", "time": "Hz"}
 
@@ -264,22 +270,20 @@ def _parameters(answer: Answer) -> str:
             return f"{text}, and how far off it may be cannot be determined"
         return f"{text}, as far as this record tells: no more than {most * 1e6:.1f} µm off"
     text = ", ".join(_change_in_words(diagnosis, change) for change in changed)
-    if changed[0].name in ("eccentricity", "runout"):
+    if changed[0].name in _DISPLACED:
         return text
     return f"the configured drive is not this gear: {text}"
 
 
 def _change_in_words(diagnosis: Diagnosis, change: Change) -> str:
-    if change.name in ("eccentricity", "runout"):
-        turned, period = diagnosis.parameters[f"{change.name}.direction"], math.pi
-        angle = turned["value"]
-        if change.name == "eccentricity":
-            what, angle = "the eccentricity", angle - diagnosis.configured.kinematics.phase
-        else:
-            what, period = "the wave generator's runout", 2.0 * math.pi
+    if change.name in _DISPLACED:
+        what, scale, unit = _DISPLACED[change.name]
+        turned, drive = diagnosis.parameters[f"{change.name}.direction"], diagnosis.configured
+        angle = turned["value"] - (0.0 if change.name == "runout" else drive.kinematics.phase)
+        period = direction_period(change.name, drive)
         towards = direction(angle, turned["std"], period).replace("modulo", "mod")
-        size = si(change.value, change.std, change.unit)
-        return f"{what} is {size} at {towards} from the long axis, not {change.configured * 1e6:.1f} µm"
+        size = spread_number(change.value * scale, change.std * scale, unit)
+        return f"{what} is {size} at {towards} from the long axis, not {change.configured * scale:.1f} {unit}"
     name = {"circular_spline_datum": "datum"}.get(change.name, words(change.name))
     more = change.value - change.configured
     size = si(abs(more), change.std, change.unit)

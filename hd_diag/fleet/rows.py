@@ -43,7 +43,7 @@ Row = dict[str, Any]
 """Values by the names of `hd_diag.fleet.table.COLUMNS`; what is missing is unknown. `start` is in nanoseconds
 since 1970."""
 
-_CONTENT = "3"  # of rows: results that a journal holds with another are made anew
+_CONTENT = "4"  # of rows: results that a journal holds with another are made anew
 
 FITTED = {
     "eccentricity.magnitude": ("eccentricity{}_m", "m", "eccentricity, refitted"),
@@ -54,6 +54,8 @@ FITTED = {
     ),
     "runout.magnitude": ("runout{}_m", "m", "part that turns with the wave generator, refitted"),
     "runout.direction": ("runout_direction{}_rad", "rad", "its direction"),
+    "tilt.magnitude": ("tilt{}_rad", "rad", "tilt of the wave generator, refitted where there are sections"),
+    "tilt.direction": ("tilt_direction{}_rad", "rad", "its direction in the housing"),
     "circular_spline_datum": ("circular_spline_datum{}_m", "m", "datum radius, refitted"),
     "tooth_compliance": ("tooth_compliance{}_m_per_N", "m/N", "K1 + K2 of a tooth pair, refitted"),
     "cup_compliance": ("cup_compliance{}_rad_per_Nm", "rad/(N m)", "compliance of the cup, refitted"),

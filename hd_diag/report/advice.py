@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
+from hd_diag.diagnosis.fit.fit_parameters import direction_period
 from hd_diag.diagnosis.judgement import Answer, Beside, Limited
 from hd_diag.diagnosis.search.causes import Cause
 from hd_diag.drive import Drive
@@ -146,6 +147,28 @@ def _runout(values: _Entries, _: Drive) -> Card:
     )
 
 
+def _tilt(values: _Entries, drive: Drive) -> Card:
+    magnitude, turned = values["tilt.magnitude"], values["tilt.direction"]
+    size = spread_number(magnitude["value"] * 1e3, magnitude["std"] * 1e3, "mrad")
+    return Card(
+        "Tilt of the wave generator in the housing",
+        math.nan,
+        "The wave generator's axis leans against the circular spline's: a flange that is not square, dirt or "
+        "a burr under it, or play of the motor's bearings.",
+        (
+            ("tilt", f"{size} (configured: {magnitude['configured'] * 1e3:.2g} mrad)"),
+            (
+                "direction, from slot 0",
+                direction(turned["value"], turned["std"], direction_period("tilt", drive)),
+            ),
+        ),
+        "Dial gauge on the motor shaft against the circular spline's face, over a turn: the total travel "
+        "over twice the gauge's radius is the tilt. Check the motor flange's face. To confirm: turn "
+        "the motor flange by a quarter turn and record again. Along the teeth the tilt adds to the "
+        "eccentricity: towards the open end in the direction given, towards the cup's bottom against it.",
+    )
+
+
 def _datum(values: _Entries, _: Drive) -> Card:
     entry = values["circular_spline_datum"]
     change = entry["value"] - entry["configured"]
@@ -189,6 +212,7 @@ def _displacement(name: str, entry: Mapping[str, Any]) -> _Measures:
 _OF_PARAMETER: dict[str, Callable[[_Entries, Drive], Card]] = {
     "eccentricity": _eccentricity,
     "runout": _runout,
+    "tilt": _tilt,
     "circular_spline_datum": _datum,
     "tooth_compliance": _compliance,
     "cup_compliance": _compliance,

@@ -39,6 +39,8 @@ TERMS = {
     "eccentricity": "How far the wave generator's centre stands beside the circular spline's axis, fixed in "
     "the housing.",
     "runout": "The same, but turning with the wave generator: the plug is off centre on its shaft.",
+    "tilt": "Angle between the wave generator's axis and the circular spline's, fixed in the housing: "
+    "along the width of the teeth the eccentricity then changes.",
     "datum": "Radius from which the profile of the circular spline's slots is measured. A larger one gives "
     "all teeth more clearance.",
     "backlash": "Clearance of one tooth in its slot, along the circumference.",

@@ -322,21 +322,22 @@ def sections(
     """
     found = []
     for z in places:
-        factor = 1 + z / cup_length if cup_length else 1.0
-        ring, major = ring_radius(drive), drive.semi_major
-        major = ring + factor * (major - ring)
-        minor = brentq(
-            lambda minor, major=major, ring=ring: (
-                ring_radius(replace(drive, semi_major=major, semi_minor=minor)) - ring
-            ),
-            0.9 * ring,
-            1.1 * ring,
-            xtol=1e-15,
-        )
-        here = replace(drive, semi_major=major, semi_minor=minor)
+        here = deformed(drive, cup_length, z)
         moved = (eccentricity[0] + tilt[0] * z, eccentricity[1] + tilt[1] * z)
         found.append(mesh(wave_generator_angle, moved, drive=here))
     return found
+
+
+def deformed(drive: Drive, cup_length: float, z: float) -> Drive:
+    """A drive's section at a place [m] from the middle one; see :func:`sections`."""
+    factor = 1 + z / cup_length if cup_length else 1.0
+    ring, major = ring_radius(drive), drive.semi_major
+    major = ring + factor * (major - ring)
+
+    def longer(minor: float) -> float:
+        return ring_radius(replace(drive, semi_major=major, semi_minor=minor)) - ring
+
+    return replace(drive, semi_major=major, semi_minor=brentq(longer, 0.9 * ring, 1.1 * ring, xtol=1e-15))
 
 
 def shared_torsion(

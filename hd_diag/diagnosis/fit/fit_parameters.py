@@ -17,6 +17,7 @@ from hd_diag.effects.scaling import unit_scales
 from hd_diag.formatting import ARCSEC
 from hd_diag.model import torsion
 from hd_diag.model.geometry import Geometry
+from hd_diag.model.mesh import largest_displacement
 
 
 @dataclass(frozen=True)
@@ -37,19 +38,40 @@ SCALES = (
     Scale("circular_spline_datum", 1e-6, 12.0, "m"),
     Scale("tooth_compliance", 0.1, 1.5, "m/N"),  # relative to the configured value
     Scale("cup_compliance", ARCSEC, 2.0, "rad/(N m)"),
+    Scale("tilt.x", 1e-4, 10.0, "rad"),
+    Scale("tilt.y", 1e-4, 10.0, "rad"),
 )
-"""The fitted parameters, in units near the precision that matters to a gear of size 25, ratio 100."""
+"""The fitted parameters, in units near the precision that matters to a gear of size 25, ratio 100.
 
-COUNT = len(SCALES)
+The tilt's two, the last, are those of a drive with more than one section: see :func:`units`.
+"""
+
+GROUPS: dict[str, tuple[int, ...]] = {
+    "eccentricity": (0, 1),
+    "runout": (2, 3),
+    "circular_spline_datum": (4,),
+    "tooth_compliance": (5,),
+    "cup_compliance": (6,),
+    "tilt": (7, 8),
+}
+"""Parameters that are judged together: their numbers."""
+
 DATUM, COMPLIANCE, CUP = 4, 5, 6
 """Numbers of the datum and of the two compliances."""
 
-_MOST_SHIFTED = (45.0, 20.0)  # eccentricity and runout
+TILT = slice(7, 9)
+"""Numbers of the tilt, none where there is one section."""
+
+_PAIRS = {"eccentricity": slice(0, 2), "runout": slice(2, 4), "tilt": TILT}
+_SINGLE = slice(4, 7)  # what is no displacement
+_MOST_DISPLACED = {"eccentricity": 45.0, "runout": 20.0}
+_MOST_TILTED, _MOST_LEANING = 50.0, 15.0  # units; of the outermost section's displacement, in units of length
+_ROOM = 0.98  # of what a mesh can be displaced by
 _DATUM = (-40.0, 45.0)  # from the configured one
 _HALVINGS = 12  # towards the last datum that makes a gear
 
-MIRRORED = np.array([-1.0, -1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
-"""What the parameters of the same drive with its lobes swapped are multiplied with."""
+_SIGNS = np.array([-1.0, -1.0, -1.0, -1.0, 1.0, 1.0, 1.0, -1.0, -1.0])  # that swapped lobes give
+_OTHER_END = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0, -1.0])
 
 _STEPS_PER_TOOTH = 8  # nodes along a record
 _NODES_PAY = 1.5  # samples per node from which they do
@@ -65,18 +87,56 @@ def warm_up() -> None:
 
 
 def units(configured: Drive) -> Floats:
-    """What one of each parameter is in SI, shape (7,): lengths go with the module, the cup with torque."""
+    """What one of each parameter is in SI, shape (p,): lengths go with the module, the cup with torque.
+
+    There are 7 parameters, 9 where there are sections that a tilt displaces.
+    """
     scales = unit_scales(configured)
-    return np.array([scale.si * scales.get(scale.unit, 1.0) for scale in SCALES])
+    return np.array([scale.si * scales.get(scale.unit, 1.0) for scale in SCALES[: count(configured)]])
+
+
+def count(configured: Drive) -> int:
+    """Number p of the parameters."""
+    return len(SCALES) if configured.mesh.geometry.sections > 1 else TILT.start
+
+
+def groups(configured: Drive) -> dict[str, tuple[int, ...]]:
+    """Those of `GROUPS` that a drive has."""
+    return {name: numbers for name, numbers in GROUPS.items() if numbers[-1] < count(configured)}
+
+
+def displacements(parameters: Floats) -> Floats:
+    """Eccentricity, runout and tilt of parameters, shape (4,) or (6,)."""
+    return np.asarray(parameters[_SIGNS[: parameters.size] < 0.0])
+
+
+def alike(parameters: Floats, configured: Drive) -> tuple[Floats, ...]:
+    """Parameters of the same drive, these first: with its lobes swapped; a ring's with its ends swapped."""
+    found = parameters, swapped(parameters)
+    if configured.mesh.geometry.cup_length or parameters.size == TILT.start:
+        return found
+    return (*found, *(each * _OTHER_END for each in found))
+
+
+def direction_period(name: str, configured: Drive) -> float:
+    """Turn after which the direction of a displacement says the same [rad], the eccentricity's first."""
+    ring = not configured.mesh.geometry.cup_length
+    return np.pi if name == "eccentricity" or (name == "tilt" and ring) else 2.0 * np.pi
+
+
+def swapped(parameters: Floats) -> Floats:
+    """Parameters of the same drive with its lobes swapped."""
+    return np.asarray(parameters * _SIGNS[: parameters.size])
 
 
 def vector(drive: Drive, configured: Drive) -> Floats:
-    """A drive's parameters in its own units, see :func:`units`, shape (7,)."""
+    """A drive's parameters in its own units, see :func:`units`, shape (p,)."""
     mesh = drive.mesh
     compliance = mesh.tooth_compliance / configured.mesh.tooth_compliance
     displaced = [mesh.eccentricity.real, mesh.eccentricity.imag, mesh.runout.real, mesh.runout.imag]
     values = [*displaced, mesh.geometry.circular_spline_datum, compliance, drive.cup_compliance]
-    return np.asarray(np.array(values) / units(configured))
+    values += [mesh.tilt.real, mesh.tilt.imag]
+    return np.asarray(np.array(values[: count(configured)]) / units(configured))
 
 
 def drive_of(parameters: Floats, configured: Drive) -> Drive:
@@ -84,7 +144,7 @@ def drive_of(parameters: Floats, configured: Drive) -> Drive:
 
     Parameters
     ----------
-    parameters : ndarray, shape (7,)
+    parameters : ndarray, shape (p,)
         See :func:`units`.
     configured : Drive
         Gives everything that is not fitted.
@@ -93,7 +153,7 @@ def drive_of(parameters: Floats, configured: Drive) -> Drive:
     -------
     Drive
     """
-    x, y, runout_x, runout_y, datum, compliance, cup = (
+    x, y, runout_x, runout_y, datum, compliance, cup, *tilt = (
         admissible(parameters, configured) * units(configured)
     ).tolist()
     mesh = replace(
@@ -102,6 +162,7 @@ def drive_of(parameters: Floats, configured: Drive) -> Drive:
         eccentricity=complex(x, y),
         runout=complex(runout_x, runout_y),
         tooth_compliance=compliance * configured.mesh.tooth_compliance,
+        tilt=complex(*tilt),
     )
     return replace(configured, mesh=mesh, cup_compliance=cup)
 
@@ -109,12 +170,12 @@ def drive_of(parameters: Floats, configured: Drive) -> Drive:
 def admissible(parameters: Floats, configured: Drive) -> Floats:
     """Parameters moved into bounds wide enough for any drive worth assembling."""
     p = parameters.copy()
-    for pair, most in zip((slice(0, 2), slice(2, 4)), _MOST_SHIFTED, strict=True):
+    for pair, most in _displaced(configured):
         size = float(np.hypot(*p[pair]))
         if size > most:
             p[pair] *= most / size
     low, high = bounds(configured)
-    p[4:] = np.clip(p[4:], low[4:], high[4:])
+    p[_SINGLE] = np.clip(p[_SINGLE], low[_SINGLE], high[_SINGLE])
     return p
 
 
@@ -124,21 +185,46 @@ def at_bound(parameters: Floats, configured: Drive) -> tuple[int, ...]:
     A cup without compliance is one that may be.
     """
     low, high = bounds(configured)
-    wide, edge = 1e-3 * (high - low)[4:], np.zeros(COUNT, dtype=np.bool_)
-    edge[4:] = parameters[4:] > high[4:] - wide
-    edge[4:-1] |= parameters[4:-1] < (low[4:] + wide)[:-1]
-    for pair, most in zip((slice(0, 2), slice(2, 4)), _MOST_SHIFTED, strict=True):
+    wide = 1e-3 * (high - low)[_SINGLE]
+    above = parameters[_SINGLE] > high[_SINGLE] - wide
+    below = parameters[_SINGLE] < low[_SINGLE] + wide
+    below[-1] = False
+    edge = np.zeros(parameters.size, dtype=np.bool_)
+    edge[_SINGLE] = above | below
+    for pair, most in _displaced(configured):
         edge[pair] = float(np.hypot(*parameters[pair])) > 0.999 * most
     return tuple(np.flatnonzero(edge).tolist())
 
 
+def _displaced(configured: Drive) -> list[tuple[slice, float]]:
+    """Places of every displacement, and how large it may be; all together no more than a mesh can have."""
+    own = units(configured)
+    found = [(_PAIRS[name], most) for name, most in _MOST_DISPLACED.items()]
+    if own.size == TILT.start:
+        return found
+    geometry = configured.mesh.geometry
+    lean = float(np.abs(geometry.section_places).max()) * float(own[TILT][0] / own[0])  # per unit of tilt
+    tilt = min(_MOST_TILTED, _MOST_LEANING / lean)
+    whole = sum(most for _, most in found) + tilt * lean
+    least = float(bounds(configured)[0][DATUM] * own[DATUM])
+    room = _ROOM * _room(geometry, least) / float(own[0])
+    return [(pair, most * min(1.0, room / whole)) for pair, most in (*found, (TILT, tilt))]
+
+
 def bounds(configured: Drive) -> tuple[Floats, Floats]:
-    """Least and greatest value of every parameter, shape (7,) each; displacements have none of their own."""
-    low, high = np.full(COUNT, -np.inf), np.full(COUNT, np.inf)
-    unit = float(units(configured)[4])
+    """Least and greatest value of every parameter, shape (p,) each; displacements have none of their own."""
+    own = units(configured)
+    low, high = np.full(own.size, -np.inf), np.full(own.size, np.inf)
+    unit = float(own[DATUM])
     datum = [end / unit for end in _datums(configured.mesh.geometry, unit)]
-    low[4:], high[4:] = (datum[0], 4.0, 0.0), (datum[1], 25.0, 20.0)
+    low[_SINGLE], high[_SINGLE] = (datum[0], 4.0, 0.0), (datum[1], 25.0, 20.0)
     return low, high
+
+
+@lru_cache(maxsize=16)
+def _room(geometry: Geometry, datum: float) -> float:
+    """What the wave generator of a drive with a datum [m] can be displaced by [m]."""
+    return largest_displacement(replace(geometry, circular_spline_datum=datum))[0]
 
 
 @lru_cache(maxsize=16)
@@ -169,8 +255,8 @@ def common_factor(configured: Drive) -> float:
 
 
 def scaling(parameters: Floats, held: tuple[int, ...], configured: Drive) -> Floats:
-    """Covariance (7, 7) of compliances that are off by one factor, where that of the teeth is held."""
-    step = np.zeros(COUNT)
+    """Covariance (p, p) of compliances that are off by one factor, where that of the teeth is held."""
+    step = np.zeros(parameters.size)
     if COMPLIANCE in held:
         step[[COMPLIANCE, CUP]] = parameters[[COMPLIANCE, CUP]] * common_factor(configured)
     return np.outer(step, step)
@@ -186,7 +272,7 @@ def bounded(
     beta : ndarray, shape (k,)
         Steps from the parameters, then other coefficients.
     covariance : ndarray, shape (k, k)
-    parameters : ndarray, shape (7,)
+    parameters : ndarray, shape (p,)
     configured : Drive
 
     Returns
@@ -195,26 +281,26 @@ def bounded(
     held : ndarray of int64
         Numbers of the parameters that lie on a bound.
     """
-    held = np.zeros(COUNT, dtype=np.bool_)
+    own, held = slice(parameters.size), np.zeros(parameters.size, dtype=np.bool_)
     found = beta
-    for _ in range(COUNT):
-        at = parameters + found[:COUNT]
+    for _ in range(held.size):
+        at = parameters + found[own]
         beyond = (np.abs(admissible(at, configured) - at) > 1e-9) & ~held
         if not beyond.any():
             break
         held |= beyond
         rows = np.flatnonzero(held)
-        wanted = (admissible(parameters + beta[:COUNT], configured) - parameters)[rows]
+        wanted = (admissible(parameters + beta[own], configured) - parameters)[rows]
         spread = covariance[np.ix_(rows, rows)]
         found = beta - covariance[:, rows] @ solve(spread, beta[rows] - wanted)
     return found, np.flatnonzero(held)
 
 
 def prior(configured: Drive) -> tuple[Floats, Floats]:
-    """Centre and width of the prior, shape (7,) each; displacements are centred on zero."""
+    """Centre and width of the prior, shape (p,) each; displacements are centred on zero."""
     center = vector(configured, configured)
-    center[:4] = 0.0
-    return center, np.array([scale.prior for scale in SCALES])
+    center[_SIGNS[: center.size] < 0.0] = 0.0
+    return center, np.array([scale.prior for scale in SCALES[: center.size]])
 
 
 def along(
@@ -232,7 +318,7 @@ def along(
     -------
     error : ndarray, shape (n,)
         To 0.01 arcsec rms with eight `steps` a tooth [rad].
-    jacobian : ndarray, shape (n, 7)
+    jacobian : ndarray, shape (n, p)
         [rad] per unit, see :func:`units`.
     slope : ndarray, shape (n,)
         dTE/dT [rad/(N m)].
@@ -242,16 +328,18 @@ def along(
     given = drive.mesh, angle, drive.frame.cup_torque(torque)
     few = angle.size < _NODES_PAY * nodes
     beta, gradient = torsion.torsion_and_gradient(*given) if few else torsion.torsion_along(*given, nodes)
-    by_x, by_y, by_datum, by_compliance, by_torque, *_ = gradient.T
+    by_x, by_y, by_datum, by_compliance, by_torque, *by_tilt = gradient.T
     cosine, sine = np.cos(angle), np.sin(angle)
     scale = -drive.frame.torque_sign * units(configured)
-    jacobian = np.empty((angle.size, COUNT))
+    jacobian = np.empty((angle.size, scale.size))
     jacobian[:, 0], jacobian[:, 1] = scale[0] * by_x, scale[1] * by_y
     jacobian[:, 2] = scale[2] * (by_x * cosine + by_y * sine)
     jacobian[:, 3] = scale[3] * (by_y * cosine - by_x * sine)
     jacobian[:, DATUM] = scale[DATUM] * by_datum
     jacobian[:, COMPLIANCE] = scale[COMPLIANCE] * configured.mesh.tooth_compliance * by_compliance
     jacobian[:, CUP] = -np.abs(scale[CUP]) * torque
+    for index, column in zip(range(TILT.start, scale.size), by_tilt, strict=False):
+        jacobian[:, index] = scale[index] * column
     return drive.frame.transmission_error(beta, torque), jacobian, -by_torque - drive.cup_compliance
 
 
@@ -260,41 +348,50 @@ def physical(parameters: Floats, covariance: Floats, configured: Drive) -> dict[
 
     Parameters
     ----------
-    parameters : ndarray, shape (7,)
-    covariance : ndarray, shape (7, 7)
+    parameters : ndarray, shape (p,)
+    covariance : ndarray, shape (p, p)
     configured : Drive
 
     Returns
     -------
     dict
-        By name: value, std, unit, configured. Eccentricity and runout together may be turned by pi: they are
-        given with the eccentricity's direction in [0, pi). What lies at a bound has no deviation: nan.
+        By name: value, std, unit, configured. All displacements together may be turned by pi: they are
+        given with the eccentricity's direction in [0, pi). So may the tilt of a ring alone, and is given in
+        [0, pi) too. What lies at a bound has no deviation: nan.
     """
     covariance = covariance.copy()
     covariance[list(at_bound(parameters, configured))] = np.nan
-    p = parameters if (parameters[1], parameters[0]) >= (0.0, 0.0) else parameters * MIRRORED
-    found: dict[str, dict[str, Any]] = {}
-    sizes, own = (configured.mesh.eccentricity, configured.mesh.runout), units(configured)
-    for name, first, before in zip(("eccentricity", "runout"), (0, 2), sizes, strict=True):
-        pair, unit = slice(first, first + 2), float(own[first])
+    p, own = max(alike(parameters, configured), key=_upright), units(configured)
+    mesh, found = configured.mesh, dict[str, dict[str, Any]]()
+    for name, pair in _PAIRS.items():
+        if pair.start >= p.size:
+            continue
+        before, unit = complex(getattr(mesh, name)), float(own[pair.start])
         (x, y), block = p[pair], covariance[pair, pair]
         size = max(float(np.hypot(x, y)), 1e-9)
         turned = np.array([x, y]) / size if size > 1e-9 else np.array([1.0, 0.0])
         along, across = turned, np.array([-turned[1], turned[0]])
         length, turn = (float(np.sqrt(way @ block @ way)) for way in (along, across))
         most = float(np.pi / np.sqrt(12.0))  # of a direction that is not known at all
-        found[f"{name}.magnitude"] = _entry(size * unit, length * unit, "m", abs(before))
+        found[f"{name}.magnitude"] = _entry(size * unit, length * unit, SCALES[pair.start].unit, abs(before))
         found[f"{name}.direction"] = _entry(
             float(np.arctan2(y, x)), float(np.minimum(turn / size, most)), "rad", cmath.phase(before)
         )
     start = vector(configured, configured)
-    for index, scale in enumerate(SCALES[4:], 4):
+    for index in range(_SINGLE.start, _SINGLE.stop):
+        scale = SCALES[index]
         si = float(own[index]) * (
             configured.mesh.tooth_compliance if scale.name == "tooth_compliance" else 1.0
         )
         spread = float(np.sqrt(covariance[index, index]))
         found[scale.name] = _entry(float(p[index]) * si, spread * si, scale.unit, float(start[index]) * si)
     return found
+
+
+def _upright(parameters: Floats) -> tuple[bool, ...]:
+    """Whether the eccentricity's, then the tilt's direction is in [0, pi)."""
+    pairs = parameters[:2], parameters[TILT]
+    return tuple((pair[1], pair[0]) >= (0.0, 0.0) for pair in pairs if pair.size)
 
 
 def _entry(value: float, std: float, unit: str, configured: float) -> dict[str, Any]:

@@ -44,11 +44,12 @@ def settle(fit: LinearisedFit, chosen: Chosen, rounds: int = 3, learn: bool = Tr
     """
     if learn:
         fit = fit.with_noise(chosen)
-    last, taken = np.zeros(fit_parameters.COUNT), 0.0
+    own = slice(fit.parameters.size)
+    last, taken = np.zeros(fit.parameters.size), 0.0
     for _ in range(rounds):
         beta, covariance, _ = fit.fit(chosen)
-        step = beta[: fit_parameters.COUNT]
-        away = step / np.sqrt(np.diag(covariance)[: fit_parameters.COUNT] + 1e-12)
+        step = beta[own]
+        away = step / np.sqrt(np.diag(covariance)[own] + 1e-12)
         longer = _longer(away, last, taken) if taken and not fit.data.given else fit.longer
         last = away
         # The fit itself still adds a step this small, linearly.
@@ -68,7 +69,7 @@ def _stepped_by(
     before, start = fit.cost(chosen), fit.at_present(chosen, beta)
     for share in (longer, *_SHARES) if longer > _CLEARLY else _SHARES:
         part = start + share * (beta - start)
-        moved = fit_parameters.admissible(fit.parameters + part[: fit_parameters.COUNT], fit.data.configured)
+        moved = fit_parameters.admissible(fit.parameters + part[: fit.parameters.size], fit.data.configured)
         trial = replace(fit.moved(moved), longer=longer).beside(fit.sized(chosen, part))
         if trial.cost(chosen) <= (_WORSE if share == 1.0 else 1.0) * before:
             return trial, share

@@ -50,7 +50,7 @@ class LinearisedFit:
     Parameters
     ----------
     data : FittedRows
-    parameters : ndarray, shape (7,)
+    parameters : ndarray, shape (p,)
         Where the model is linearised, in units of `fit_parameters.units`.
     whiten : Whitening
         Noise model.
@@ -174,7 +174,7 @@ class LinearisedFit:
 
     @cached_property
     def jacobian(self) -> Floats:
-        """Derivatives by the parameters, zero for those that are held, (n, 7)."""
+        """Derivatives by the parameters, zero for those that are held, (n, p)."""
         found = self.effects.jacobian.copy()
         found[:, self._all_held] = 0.0
         return found
@@ -259,14 +259,14 @@ class LinearisedFit:
         """Deviance where it is linearised, with the chosen effects as they are present; zeros are free."""
         beta, _, built, _ = self._fit(chosen)
         values = self.at_present(chosen, beta)
-        numbers = np.delete(np.arange(beta.size), np.r_[fit_parameters.COUNT : self.always_white.shape[1]])
+        numbers = np.delete(np.arange(beta.size), np.r_[self.parameters.size : self.always_white.shape[1]])
         own = built.precision[numbers] @ (values - built.pull)[numbers] ** 2
         return built.holding(numbers, values[numbers]).deviance() + float(own)
 
     def at_present(self, chosen: Chosen, beta: Floats) -> Floats:
         """Coefficients (k,) where it is linearised: no steps, effects as present; zeros as in others (k,)."""
         values, known = beta.copy(), dict(self.present)
-        values[: fit_parameters.COUNT] = 0.0
+        values[: self.parameters.size] = 0.0
         for item, place in zip(chosen, self.places(chosen), strict=True):
             values[place] = known.get(item, 0.0)
         return values
@@ -319,8 +319,8 @@ class LinearisedFit:
         places = self.places(chosen)
         center, width = fit_parameters.prior(self.data.configured)
         precision, pull = np.zeros((2, places[-1].stop if places else self.always_white.shape[1]))
-        precision[: fit_parameters.COUNT] = width**-2.0
-        pull[: fit_parameters.COUNT] = center - self.parameters
+        precision[: width.size] = width**-2.0
+        pull[: width.size] = center - self.parameters
         precision[self._all_held], pull[self._all_held] = _HELD, 0.0
         for (effect, _), place in zip(chosen, places, strict=True):
             times = 1.0 if effect.given else _TEETH if effect.of_teeth else _UNHEARD_OF
@@ -339,7 +339,7 @@ def linearise(
 ) -> LinearisedFit:
     """A record linearised about a drive, its noise not known yet; see :class:`FittedRows`.
 
-    Of parameters (7,) in units of `fit_parameters.units`, on some rows (n,) where the error is well defined,
+    Of parameters (p,) in units of `fit_parameters.units`, on some rows (n,) where the error is well defined,
     on all of these without; a part of some work, or of work that may take as long as it does.
     """
     found = usable(record)

@@ -32,7 +32,7 @@ class MeshTorques:
     Parameters
     ----------
     model : RecordModel
-    parameters : ndarray, shape (7,)
+    parameters : ndarray, shape (p,)
         Of the model, in units of `fit_parameters.units`.
     causes : tuple
     as_taken : bool

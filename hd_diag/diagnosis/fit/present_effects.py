@@ -41,7 +41,7 @@ class PresentEffects:
     Parameters
     ----------
     data : FittedRows
-    parameters : ndarray, shape (7,)
+    parameters : ndarray, shape (p,)
         Where the model is linearised, in units of `fit_parameters.units`.
     present : tuple
     """

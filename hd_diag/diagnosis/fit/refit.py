@@ -11,7 +11,7 @@ from scipy.ndimage import binary_erosion
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit import fit_parameters
-from hd_diag.diagnosis.fit.fit_parameters import COMPLIANCE, COUNT, DATUM, MIRRORED
+from hd_diag.diagnosis.fit.fit_parameters import COMPLIANCE, DATUM, TILT, alike, swapped
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.stamps import usual_step
 from hd_diag.drive import Drive
@@ -34,12 +34,15 @@ _DAMPINGS = 6  # tried before a fit gives up
 _HELD = 1e-6  # prior width of what is not fitted
 _DATUMS = (-6.0, 3.0, 12.0)  # from the configured one, to begin with beside a friction
 _SETTLED = 0.1  # deviance; smaller steps are left to the fit of all rows
-_NEAR = np.array([1.0, 1.0, 1.0, 1.0, 3.0, 0.5, 0.7])  # by which parameters of the same drive may differ
+_LEANING = 7.0  # units of tilt, to begin with
+_NEAR = np.array(
+    [1.0, 1.0, 1.0, 1.0, 3.0, 0.5, 0.7, 2.0, 2.0]
+)  # by which parameters of the same drive may differ
 
 Starts = tuple[tuple[float, float], ...]
-_TURNS = (0.0, 0.25, 0.5, 0.75)  # [pi rad]
-FEW_STARTS: Starts = ((0.0, 0.0), *((10.0, turn) for turn in _TURNS))
-STARTS: Starts = ((0.0, 0.0), *((size, turn) for size in (6.0, 16.0) for turn in _TURNS))
+_QUARTERS = (0.0, 0.25, 0.5, 0.75)  # of the directions that differ
+FEW_STARTS: Starts = ((0.0, 0.0), *((10.0, turn) for turn in _QUARTERS))
+STARTS: Starts = ((0.0, 0.0), *((size, turn) for size in (6.0, 16.0) for turn in _QUARTERS))
 """Eccentricities that a search begins with: magnitude [um], direction [pi rad]."""
 
 DISTINCT = 12.0
@@ -54,9 +57,9 @@ class Refit:
     ----------
     drive : Drive
         With the fitted parameters.
-    parameters : ndarray, shape (7,)
+    parameters : ndarray, shape (p,)
         In the units of `fit_parameters.units`.
-    covariance : ndarray, shape (7, 7)
+    covariance : ndarray, shape (p, p)
         From the fit on independent samples; the final one is by `diagnosis`.
     trustworthy : bool
         Whether no other minimum fits about as well.
@@ -128,7 +131,7 @@ def refit(
         Chooses the samples.
     extra : ndarray, shape (n, k), optional
         Further columns that may take part freely: effects already found.
-    start : ndarray, shape (7,), optional
+    start : ndarray, shape (p,), optional
         One more start, where the fit is now: once all that is hopeful leads back to it, the search ends.
     starts : sequence of (float, float)
         Eccentricities to begin with: magnitude [um], direction [pi rad].
@@ -153,15 +156,19 @@ def refit(
         problem = _Problem(record, configured, free, some, noise, motor, held)
         trials = sorted((_levenberg(problem, point, steps) for point in points), key=lambda trial: trial[1])
         hopeful = [point for point, value in trials if value < _HOPELESS * trials[0][1]]
-        points = distinct(hopeful)[:kept]
+        points = distinct(hopeful, configured)[:kept]
         noise = max(float(np.sqrt(np.mean(problem.residual_and_jacobian(points[0])[0] ** 2))), _LEAST_NOISE)
-        if start is not None and not distinct([start, *points])[1:]:
+        if start is not None and not distinct([start, *points], configured)[1:]:
             break
+        if samples == _ROUNDS[0][0]:
+            points = [leaning for point in points for leaning in _leaning(point, configured)]
     covariance = problem.covariance(trials[0][0])
-    (point, deviance), *others = [(found[:COUNT], value) for found, value in trials]
-    rivals = distinct([point, *(other for other, value in others if value - deviance < DISTINCT)])[1:]
-    ambiguous = any(_apart(point, rival, covariance) > DISTINCT for rival in rivals)
-    zero, *taken = trials[0][0][COUNT:].tolist()
+    own = fit_parameters.count(configured)
+    (point, deviance), *others = [(found[:own], value) for found, value in trials]
+    near = [other for other, value in others if value - deviance < DISTINCT]
+    rivals = distinct([point, *near], configured)[1:]
+    ambiguous = any(_apart(point, rival, covariance, configured) > DISTINCT for rival in rivals)
+    zero, *taken = trials[0][0][own:].tolist()
     drive = fit_parameters.drive_of(point, configured)
     return Refit(drive, point, covariance, not ambiguous, np.array(taken), zero * problem.offset)
 
@@ -215,6 +222,17 @@ def _starts(configured: Drive, start: Floats | None, starts: Starts) -> list[Flo
     return [*points, *again, *([] if start is None else [start])]
 
 
+def _leaning(point: Floats, configured: Drive) -> list[Floats]:
+    """A point, and where there are sections the same tilted in each direction: near none no slope leads."""
+    points = [point]
+    if fit_parameters.count(configured) > TILT.start:
+        turn = 2.0 * np.pi if configured.mesh.geometry.cup_length else np.pi  # a ring's ends are alike
+        for angle in turn * np.array(_QUARTERS):
+            points.append(point.copy())
+            points[-1][TILT] = _LEANING * np.cos(angle), _LEANING * np.sin(angle)
+    return points
+
+
 def _of_motor(points: list[Floats], record: Record, motor: Motor) -> list[Floats]:
     """Starts with friction as the current has it both ways through the same place, and with other datums."""
     place, taken = record.output_angle, motor.torque[:, 1:]
@@ -244,7 +262,7 @@ class _Problem:
         motor: Motor | None,
         held: tuple[int, ...],
     ) -> None:
-        self.configured = configured
+        self.configured, self.own = configured, fit_parameters.count(configured)
         self.motor = None if motor is None else motor._replace(torque=motor.torque[rows])
         own = np.zeros(0) if motor is None else motor.effect.usual
         self.input_angle, self.torque = record.input_angle[rows], record.torque[rows]
@@ -262,20 +280,21 @@ class _Problem:
         """What a drive can have; the torque's offset in widths of its prior; what a motor takes."""
         found = np.zeros(self.center.size)
         found[: point.size] = point
-        found[:COUNT] = fit_parameters.admissible(point[:COUNT], self.configured)
-        most = _MOST_OFF * self.width[COUNT : COUNT + 2]  # the torque's zero, and the gain of a current
-        found[COUNT : COUNT + 2] = np.clip(found[COUNT : COUNT + 2], -most, most)
+        found[: self.own] = fit_parameters.admissible(point[: self.own], self.configured)
+        two = slice(self.own, self.own + 2)  # the torque's zero, and the gain of a current
+        most = _MOST_OFF * self.width[two]
+        found[two] = np.clip(found[two], -most, most)
         return found
 
     def residual_and_jacobian(self, point: Floats) -> tuple[Floats, Floats]:
         point = self.admissible(point)
-        drive = fit_parameters.drive_of(point[:COUNT], self.configured)
-        torque = self.torque + float(point[COUNT]) * self.offset
+        drive = fit_parameters.drive_of(point[: self.own], self.configured)
+        torque = self.torque + float(point[self.own]) * self.offset
         by_torque = [np.full_like(self.torque, self.offset)]
         if self.motor is not None:
             effect, own = self.motor
-            torque = torque + effect.more(own, point[COUNT + 1 :])
-            by_torque += list(effect.changes(own, point[COUNT + 1 :]).T)
+            torque = torque + effect.more(own, point[self.own + 1 :])
+            by_torque += list(effect.changes(own, point[self.own + 1 :]).T)
         error, jacobian, slope = fit_parameters.along(
             drive, self.configured, self.input_angle, torque, _STEPS_PER_TOOTH
         )
@@ -294,7 +313,7 @@ class _Problem:
         residual, jacobian = self.residual_and_jacobian(point)
         variance = float(residual @ residual) / max(residual.size - point.size - self.free.shape[1], 1)
         spread = np.linalg.inv(jacobian.T @ jacobian / variance + np.diag(self.width**-2.0))
-        return np.asarray(spread[:COUNT, :COUNT])
+        return np.asarray(spread[: self.own, : self.own])
 
 
 def _levenberg(problem: _Problem, point: Floats, iterations: int) -> tuple[Floats, float]:
@@ -322,19 +341,20 @@ def _levenberg(problem: _Problem, point: Floats, iterations: int) -> tuple[Float
     return point, deviance
 
 
-def _apart(point: Floats, other: Floats, covariance: Floats) -> float:
+def _apart(point: Floats, other: Floats, covariance: Floats, configured: Drive) -> float:
     """Deviance by which another drive should be worse, were there one minimum only; lobes swapped or not."""
-    away = (other - point, other * MIRRORED - point)
+    away = [each - point for each in alike(other, configured)]
     return min(float(step @ np.linalg.solve(covariance, step)) for step in away)
 
 
-def distinct(points: list[Floats]) -> list[Floats]:
-    """Points that are not the same drive: lobes swapped count as the same.
+def distinct(points: list[Floats], configured: Drive | None = None) -> list[Floats]:
+    """Points that are not the same drive: lobes swapped count as the same, with the drive a ring's ends too.
 
     Parameters
     ----------
-    points : list of ndarray, shape (7,) or more
-        In the units of `fit_parameters.units`; what follows is not compared.
+    points : list of ndarray, shape (p,)
+        In the units of `fit_parameters.units`; with the drive there may be more, which is not compared.
+    configured : Drive, optional
 
     Returns
     -------
@@ -343,8 +363,9 @@ def distinct(points: list[Floats]) -> list[Floats]:
     """
     found: list[Floats] = []
     for point in points:
-        known = [each[:COUNT] for each in found]
-        alike = (point[:COUNT], point[:COUNT] * MIRRORED)
-        if not any(np.all(np.abs(one - other) < _NEAR) for one in known for other in alike):
+        own = point if configured is None else point[: fit_parameters.count(configured)]
+        same = (own, swapped(own)) if configured is None else alike(own, configured)
+        near = (np.abs(each[: own.size] - other) < _NEAR[: own.size] for each in found for other in same)
+        if not any(map(np.all, near)):
             found.append(point)
     return found

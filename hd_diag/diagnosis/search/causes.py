@@ -254,7 +254,7 @@ def parameters_of(found: Search) -> tuple[Floats, Floats]:
     What is held makes the others no more certain than they are beside it. By a motor's current all
     compliances may be off by one factor, and the torque by its inverse, as far as the prior lets them.
     """
-    own, fit = slice(fit_parameters.COUNT), found.fit
+    own, fit = slice(found.fit.parameters.size), found.fit
     beta, _, _ = fit.fit(found.chosen)
     spread = covariance(replace(fit, held=()), found.chosen)[0][own, own]
     parameters = fit_parameters.admissible(fit.parameters + beta[own], fit.data.configured)

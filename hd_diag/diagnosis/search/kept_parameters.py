@@ -10,22 +10,13 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.design import lower_bound
-from hd_diag.diagnosis.fit.fit_parameters import COUNT, DATUM, MIRRORED
+from hd_diag.diagnosis.fit.fit_parameters import DATUM, GROUPS, alike, displacements, groups
 from hd_diag.diagnosis.fit.joint_refinement import covariance, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.refit import DISTINCT, distinct
 from hd_diag.diagnosis.search.acceptance import log_likelihood
 from hd_diag.diagnosis.search.causes import Search, parameters_of
 from hd_diag.drive import Drive
-
-GROUPS: dict[str, tuple[int, ...]] = {
-    "eccentricity": (0, 1),
-    "runout": (2, 3),
-    "circular_spline_datum": (DATUM,),
-    "tooth_compliance": (5,),
-    "cup_compliance": (6,),
-}
-"""Parameters that are judged together: their numbers."""
 
 DISPLACEMENTS = frozenset(("eccentricity", "runout"))
 
@@ -35,11 +26,16 @@ TWO_SIDED = 1.96
 PLAIN = 1600.0
 """Square of standard deviations beyond which no test is needed."""
 
-_NOISE = {"eccentricity": 20.0, "runout": 20.0}  # fall of the likelihood that noise hardly ever brings
+_NOISE = {
+    "eccentricity": 20.0,
+    "runout": 20.0,
+    "tilt": 20.0,
+}  # fall of the likelihood that noise hardly brings
 _USUAL_NOISE = 6.0  # that of parameters of which a wrong value does no harm
 _PREDICTED = 0.5  # of that fall, in blocks held out
 _AGREEING = 0.5  # of the gain, that may be lost in some blocks
 _DATUMS = np.array([12.0, 8.0, 4.0])  # to either side, with which other minima are looked for
+_BOUND_STEPS = {"eccentricity": 1, "tilt": 4}  # to where a bound is, from one unit on
 _ONE_SIGN = 0.05  # of the rows, that torque of the other sign has at most
 
 
@@ -51,7 +47,7 @@ class Kept:
     ----------
     bounds : dict
         By the group's name, in units of :func:`fit_parameters.units`.
-    rivals : list of ndarray, shape (7,)
+    rivals : list of ndarray, shape (p,)
         Where the parameters would be, were these fitted too, and other minima that do as well.
     """
 
@@ -70,20 +66,19 @@ class Kept:
         return {name: bound * float(units[GROUPS[name][0]]) for name, bound in self.bounds.items()}
 
     def spread(self, whole: Search) -> tuple[Floats, Floats]:
-        """Parameters of a fit with these groups held, shape (7,), and their covariance, shape (7, 7).
+        """Parameters of a fit with these groups held, shape (p,), and their covariance, shape (p, p).
 
         Intervals reach as far as the bounds; those of the others as far as those of every rival that
         describes all rows as well.
         """
-        found, spread = parameters_of(whole)
-        plain, worst = _half_widths(spread), _as_good(whole.fit, whole.chosen)
+        fit, (found, spread) = whole.fit, parameters_of(whole)
+        plain, worst = _half_widths(spread), _as_good(fit, whole.chosen)
         reach = plain.copy()
         for there in self._rivals(whole):
             if there.deviance(whole.chosen) < worst:
                 other, own = parameters_of(replace(whole, fit=there))
-                away = min(
-                    (np.abs(one - found) for one in (other, other * MIRRORED)), key=_squared_displacement
-                )
+                ways = (np.abs(one - found) for one in alike(other, fit.data.configured))
+                away = min(ways, key=_squared_displacement)
                 reach = np.maximum(reach, away + _half_widths(own))
         longer = reach / np.maximum(plain, 1e-150)
         spread = spread * np.multiply.outer(longer, longer)
@@ -121,8 +116,9 @@ def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, 
     """
     fit, rivals = _best_minimum(fit, chosen)
     away, spread = _away(fit, chosen)
-    undetermined = [name for name, numbers in GROUPS.items() if set(numbers) <= set(fit.data.held)]
-    certain = {name: _certainty(away, spread, [name]) for name in GROUPS if name not in undetermined}
+    own = groups(fit.data.configured)
+    undetermined = [name for name, numbers in own.items() if set(numbers) <= set(fit.data.held)]
+    certain = {name: _certainty(away, spread, [name]) for name in own if name not in undetermined}
     doubtful = [name for name in certain if certain[name] < PLAIN]
     if not doubtful:
         return fit, Kept(_bounds(fit, chosen, undetermined), rivals[1:])
@@ -192,12 +188,12 @@ def _as_good(fit: LinearisedFit, chosen: Chosen) -> float:
 
 
 def _configured(fit: LinearisedFit) -> Floats:
-    """Parameters of the configured drive, shape (7,)."""
+    """Parameters of the configured drive, shape (p,)."""
     return fit_parameters.vector(fit.data.configured, fit.data.configured)
 
 
 def _minima(fit: LinearisedFit, chosen: Chosen, parameters: Floats) -> list[LinearisedFit]:
-    """What some parameters, shape (7,), lead to with other datums: on either side from far to near.
+    """What some parameters, shape (p,), lead to with other datums: on either side from far to near.
 
     Where a start leads back to a known minimum, nearer ones on its side are not tried: they hardly ever lead
     elsewhere.
@@ -226,24 +222,25 @@ def _one_sided(fit: LinearisedFit) -> bool:
 def _away(fit: LinearisedFit, chosen: Chosen) -> tuple[Floats, Floats]:
     """How far the parameters are from the configured ones, lobes swapped if that is nearer; covariance."""
     configured = _configured(fit)
-    found, own = _fitted(fit, chosen), slice(COUNT)
-    away = min((found - configured, found * MIRRORED - configured), key=_squared_displacement)
+    found, own = _fitted(fit, chosen), slice(configured.size)
+    ways = (each - configured for each in alike(found, fit.data.configured))
+    away = min(ways, key=_squared_displacement)
     open_ = fit_parameters.scaling(found, fit.data.held, fit.data.configured)
     return away, covariance(fit, chosen)[0][own, own] + open_
 
 
 def _fitted(fit: LinearisedFit, chosen: Chosen) -> Floats:
-    """Parameters where a fit has them, shape (7,)."""
-    return np.asarray(fit.parameters + fit.fit(chosen)[0][:COUNT])
+    """Parameters where a fit has them, shape (p,)."""
+    return np.asarray(fit.parameters + fit.fit(chosen)[0][: fit.parameters.size])
 
 
 def _squared_displacement(away: Floats) -> float:
     """How far from none the displacements are."""
-    return float(np.sum(away[:4] ** 2))
+    return float(np.sum(displacements(away) ** 2))
 
 
 def _half_widths(spread: Floats) -> Floats:
-    """Of 95 % intervals, shape (7,)."""
+    """Of 95 % intervals, shape (p,)."""
     return np.asarray(TWO_SIDED * np.sqrt(np.diag(spread)))
 
 
@@ -281,7 +278,7 @@ def _start(fit: LinearisedFit, names: list[str]) -> tuple[Floats, list[int]]:
     """Parameters, lobes swapped if that is nearer, with groups as configured; the numbers of these."""
     numbers = [number for name in names for number in GROUPS[name]]
     configured = _configured(fit)
-    points = (fit.parameters, fit.parameters * MIRRORED)
+    points = alike(fit.parameters, fit.data.configured)
     start = min(points, key=lambda x: _squared_displacement(x - configured)).copy()
     start[numbers] = configured[numbers]
     return start, numbers
@@ -302,19 +299,21 @@ def _bound(fit: LinearisedFit, chosen: Chosen, name: str) -> float:
     """How far off a group may be, at 95 %.
 
     What a displacement adds grows with its square, so near none its slope says nothing: it is taken one unit
-    away.
+    away. A tilt may have a slope beside it, as in a coned cup with an eccentricity: it is taken at the bound.
     """
     away, spread = _away(fit, chosen)
     numbers = list(GROUPS[name])
     size = float(np.hypot(*away[numbers])) if len(numbers) > 1 else abs(float(away[numbers[0]]))
-    if name != "eccentricity" or _eccentric(fit):
+    if name not in ("eccentricity", "tilt") or np.any(_configured(fit)[numbers]):
         return size + TWO_SIDED * _deviation(spread, numbers)
-    start = max(size, 1.0)
-    moved = fit.parameters.copy()
-    moved[:2] = start * (moved[:2] / size if size > 1e-6 else np.array([1.0, 0.0]))
-    there = fit.moved(moved).beside(fit.present)
-    own = covariance(there, chosen)[0][:COUNT, :COUNT]
-    return float(np.sqrt(size**2 + 2.0 * start * TWO_SIDED * _deviation(own, numbers)))
+    bound = start = max(size, 1.0)
+    for _ in range(_BOUND_STEPS[name]):
+        start, moved = bound, fit.parameters.copy()
+        moved[numbers] = start * (moved[numbers] / size if size > 1e-6 else np.array([1.0, 0.0]))
+        there = fit.moved(moved).beside(fit.present)
+        own = covariance(there, chosen)[0][: away.size, : away.size]
+        bound = float(np.sqrt(size**2 + 2.0 * start * TWO_SIDED * _deviation(own, numbers)))
+    return bound
 
 
 def _eccentric(fit: LinearisedFit) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit.design import f_test, surprise
-from hd_diag.diagnosis.fit.fit_parameters import COUNT, at_bound
+from hd_diag.diagnosis.fit.fit_parameters import at_bound
 from hd_diag.diagnosis.fit.joint_refinement import free, polished, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.refit import Refit, distinct
@@ -268,7 +268,7 @@ def _with_torque_zero(fit: LinearisedFit, begun: Refit) -> tuple[LinearisedFit, 
     if before - after < max((one.gain for one in rivals), default=0.0):
         return None
     gain, rows = before - after, int(np.count_nonzero(there.residual_white))
-    chance, size = f_test(before, after, 1, rows, COUNT + 1), surprise(gain * rows / after, 1)
+    chance, size = f_test(before, after, 1, rows, fit.parameters.size + 1), surprise(gain * rows / after, 1)
     return there, [Candidate(*item, gain, chance, size), *rivals]
 
 
@@ -287,7 +287,7 @@ def _imitated_by_parameters(fit: LinearisedFit, chosen: Chosen, plain: list[Cand
 
 def _moves_parameters(fit: LinearisedFit, chosen: Chosen, candidate: Candidate) -> bool:
     """Whether beside a candidate the parameters are those of another drive."""
-    step = fit.fit((*chosen, (candidate.effect, candidate.nonlinear)))[0][:COUNT]
+    step = fit.fit((*chosen, (candidate.effect, candidate.nonlinear)))[0][: fit.parameters.size]
     return bool(distinct([fit.parameters, fit.parameters + step])[1:])
 
 
