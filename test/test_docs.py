@@ -49,7 +49,7 @@ def load(path: Path) -> ModuleType:
     return module
 
 
-rerun = load(DOCS / "rerun.py")
+rerun, generate = load(DOCS / "rerun.py"), load(DOCS / "generate.py")
 
 
 # What the pages name ---
@@ -171,6 +171,52 @@ def test_readme_has_its_picture_and_linked_files_exist() -> None:
     assert [link for link in links if not (ROOT / link).exists()] == []
 
 
+# The pages as a code host shows them ---
+
+
+@pytest.mark.parametrize("page", [name for name in NAMES if not name.startswith("api/")])
+def test_pages_are_plain_markdown_whose_links_lead_somewhere(page: str) -> None:
+    text = (DOCS / page).read_text(encoding="utf-8")
+    prose = re.sub(r"(?ms)^```(?!\{).*?^```$|`[^`\n]+`", "", text)
+    assert re.findall(r"\{\{|\{%|^```\{|\{\w+\}`", prose, flags=re.MULTILINE) == []
+    missing = []
+    for link in re.findall(r"\]\(([^)\s]+)\)", prose):
+        file, place = urldefrag(link)
+        target = (DOCS / page).parent / file if file else DOCS / page
+        here = target.is_file() and (not place or place in places_of(target))
+        if not re.match(r"[a-z]+:", link) and not here:
+            missing.append(link)
+    assert missing == []
+
+
+def places_of(page: Path) -> set[str]:
+    """Names under which a code host links the headings of a page."""
+    titles = re.findall(r"(?m)^#+ (.+)$", page.read_text(encoding="utf-8"))
+    return {re.sub(r"[^\w\- ]", "", title.replace("\\", "").lower()).replace(" ", "-") for title in titles}
+
+
+def test_generated_parts_and_pictures_are_those_of_the_code() -> None:
+    assert generate.stale(write=False) == [], "python docs/generate.py"
+
+
+def test_a_part_that_is_out_of_date_is_written_anew_and_nothing_else() -> None:
+    text = "before\n<!-- made: frames -->\n\nold\n\n<!-- end -->\nafter\n"
+    found = generate.renewed(text, "")
+    assert found.startswith("before\n")
+    assert found.endswith("<!-- end -->\nafter\n")
+    assert "slot 0 lies on its x axis" in found
+    assert generate.renewed(found, "") == found
+
+
+def test_pictures_are_compared_by_what_they_show() -> None:
+    text = (DOCS / "figures/drive.svg").read_text(encoding="utf-8")
+    moved = re.sub(r"(M )(\d+)\.(\d)", lambda m: f"{m[1]}{int(m[2]) + 1}.{m[3]}", text, count=1)
+    assert generate.same_picture(text, text)
+    assert moved != text
+    assert not generate.same_picture(text, moved)
+    assert not generate.same_picture(text, text.replace("<text", "<desc", 1))
+
+
 # The pages as they are built ---
 
 
@@ -242,7 +288,7 @@ def test_pages_need_no_network_and_name_no_place_of_a_machine(
 def test_every_verb_and_parameter_is_there(pages: dict[str, Page]) -> None:
     page, text = pages["command_line.html"], pages["parameters.html"].text
     for verb in cli.commands:
-        assert f"verb-{verb}" in page.places
+        assert verb in page.places
         options = cli.get_command(click.Context(cli), verb).params  # type: ignore[union-attr]
         names = [name for option in options if isinstance(option, click.Option) for name in option.opts]
         assert [name for name in names if name not in page.text] == []

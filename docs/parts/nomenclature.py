@@ -1,21 +1,33 @@
-"""Frames, signs and symbols, from the one place that states them: the model's own documentation."""
+"""Frames, signs and symbols from the docstring of `hd_diag.model`: physics.md."""
 
 from __future__ import annotations
 
 import re
-from pathlib import Path
-from typing import Any
 
 import hd_diag.model
+from parts import plain, table
 
 GREEK = ("alpha", "beta", "theta")
 TERM = re.compile(r" {4}(\S.{0,14}?)(?:: |  +)(.+)")
 
 
-def content(folder: Path) -> dict[str, Any]:
-    """What physics.md is filled with."""
-    sections = {name: _entries(name) for name in ("Frames", "Signs", "Nomenclature")}
-    return {"frames": sections["Frames"], "symbols": sections["Signs"] + sections["Nomenclature"]}
+OF_THE_ERROR = (
+    (r"$\theta_{in}, \theta_{out}$", r"input and output angle as the robot reports them \[rad\]"),
+    (r"$T$", r"torque on the link by the drive, positive in the link's positive direction \[N m\]"),
+    (r"$c_{cup}$", r"torsion of cup and output per torque, beyond the teeth's \[rad/(N m)\]"),
+    ("TE", r"transmission error \[rad\]"),
+)
+
+
+def frames() -> str:
+    """A paragraph for each frame."""
+    return "\n\n".join(f"**{term}.** {meaning}" for term, meaning in _entries("Frames"))
+
+
+def symbols() -> str:
+    """A table of symbols with their meaning."""
+    entries = [(term, plain(meaning)) for term, meaning in _entries("Signs") + _entries("Nomenclature")]
+    return table(["symbol", "meaning"], [[*entry] for entry in (*entries, *OF_THE_ERROR)])
 
 
 def _entries(section: str) -> list[tuple[str, str]]:

@@ -1,32 +1,36 @@
-"""The parameters of a configuration, from their one definition."""
+"""The parameters of a configuration: parameters.md."""
 
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 from hd_diag.config.parameters import JOINT_PARAMETERS, NODE_PARAMETERS, Parameter
+from parts import plain, table
 
 
-def content(folder: Path) -> dict[str, Any]:
-    """What parameters.md is filled with."""
+def parameters() -> str:
+    """A table for each kind of parameter."""
     drive = [p for p in JOINT_PARAMETERS if not p.name.startswith(("gear.", "limits.", "tolerance."))]
-    return {
-        "tables": {
-            "Of the node": NODE_PARAMETERS,
-            "Of a joint: the drive": drive,
-            "Of a joint: its catalogue page": _of("gear."),
-            "Of a joint: limits of the diagnostics": _of("limits."),
-            "Of a joint: `hd-diag tolerance`": _of("tolerance."),
-        },
-        "default": default,
-        "allowed": allowed,
+    tables = {
+        "Of the node": NODE_PARAMETERS,
+        "Of a joint: the drive": drive,
+        "Of a joint: its catalogue page": _of("gear."),
+        "Of a joint: limits of the diagnostics": _of("limits."),
+        "Of a joint: `hd-diag tolerance`": _of("tolerance."),
     }
+    titles = ["name", "default", "from, to", "meaning"]
+    return "\n\n".join(f"## {name}\n\n{table(titles, [*map(_row, own)])}" for name, own in tables.items())
 
 
 def _of(prefix: str) -> list[Parameter]:
     return [parameter for parameter in JOINT_PARAMETERS if parameter.name.startswith(prefix)]
+
+
+def _row(parameter: Parameter) -> list[str]:
+    scale = f"; goes with {parameter.scale}" if parameter.scale else ""
+    meaning = f"{plain(parameter.meaning)}{scale}"
+    return [f"`{parameter.name}`", plain(default(parameter)), plain(allowed(parameter)), meaning]
 
 
 def default(parameter: Parameter) -> str:
