@@ -3,6 +3,7 @@
 import dataclasses
 import importlib.util
 import json
+import os
 import re
 import shlex
 import subprocess
@@ -372,3 +373,25 @@ def test_the_worked_example_is_named_by_a_diagnosis(tmp_path: Path) -> None:
     (found,) = json.loads(model.read_text())["effects"]
     assert_allclose(found["parameters"]["amplitude"]["value"], example.SIZE, atol=0.1 * ARCSEC)
     assert_allclose(found["parameters"]["direction"]["value"], example.DIRECTION, atol=0.02)
+
+
+GALLERY = sorted((DOCS / "gallery").glob("*.py"))
+LONG_SCRIPTS = ("a_fleet", "tolerance_chart")  # a minute each on a busy machine
+
+
+@pytest.mark.parametrize(
+    "script",
+    [pytest.param(one, marks=[pytest.mark.slow] if one.stem in LONG_SCRIPTS else []) for one in GALLERY],
+    ids=lambda script: script.stem,
+)
+def test_a_script_of_the_gallery_draws_the_picture_that_is_shown(script: Path, tmp_path: Path) -> None:
+    own = {
+        "MATPLOTLIBRC": str(DOCS / "gallery"),
+        "SOURCE_DATE_EPOCH": "0",
+    }  # the same file from the same data
+    given = {**os.environ, **own, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    run = subprocess.run([sys.executable, script], cwd=tmp_path, env=given, capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    drawn = (tmp_path / f"{script.stem}.svg").read_text(encoding="utf-8")
+    assert generate.same_picture(script.with_suffix(".svg").read_text(encoding="utf-8"), drawn)
+    assert f"gallery/{script.stem}.svg" in (DOCS / "gallery.md").read_text(encoding="utf-8")
