@@ -227,6 +227,53 @@ def test_a_velocity_without_its_output_is_told(life: Life) -> None:
     assert life.report().message.endswith(said)
 
 
+# Values that are none of the joint ---
+
+
+@pytest.mark.parametrize(
+    ("effort", "said"),
+    [
+        ([0.0], "is zero throughout"),
+        ([5e-324, -5e-324], "is never beyond 4.94e-324 N m"),
+        ([np.nan], "is not a number throughout"),
+        ([999.0], "is 999 N m throughout"),
+        ([0.0, 0.2], ""),
+        ([12.0], ""),
+    ],
+)
+def test_a_torque_that_nothing_measured_is_told(effort: list[float], said: str) -> None:
+    """Once the joint turns: at rest a torque may be zero."""
+    life = Life(joint_1__limits__torque__warn=100.0, joint_1__limits__torque__error=100.0)
+    for i in range(8):
+        life.now += MS
+        life.take(life.now, 0.4 * i, 0.004 * i + 0.1, effort[i % len(effort)])
+    assert life.report().values["torque_not_measured"] == ""
+    for i in range(8, 24):
+        life.now += MS
+        life.take(life.now, 0.4 * i, 0.004 * i + 0.1 * (-1) ** i, effort[i % len(effort)])
+    status = life.report()
+    assert status.values["torque_not_measured"] == said
+    assert "measured error is not the predicted one" in status.message
+    assert (f"no torque is measured: it {said}" in status.message) == bool(said)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.5])
+def test_values_of_a_second_publisher_are_told_while_they_come(value: float) -> None:
+    life = Life()
+    for i in range(300):
+        life.now += MS
+        life.take(life.now, 20.0 + 0.01 * i, 0.2 + 0.0001 * i, 1.0 + 0.001 * i)
+        if i % 20 == 0:
+            life.take(life.now + MS // 2, value, value, 0.0)
+    status = life.report()
+    assert "INPUT_INVALID" in status.values["fault_codes"].split()
+    assert (status.level > 1) == (value != 0.0), "these two angles do not belong together: RESIDUAL too"
+    place = value % (2.0 * np.pi)  # the output stays within a turn
+    assert f"15 rows with input {value:g} rad and output {place:g} rad" in status.message
+    life.run(angle=lambda i: 23.0 + 0.01 * i)
+    assert "second publisher" not in life.report().message
+
+
 # Numbers ---
 
 

@@ -8,9 +8,9 @@ from joint_records import RATIO, columns, joint, prepared
 from numpy.testing import assert_allclose
 from test_recording import COLUMNS, NAMES, states, write, write_table
 
-from hd_diag.diagnosis.second_publisher import other_rows
 from hd_diag.records.joint_record import read_bags, read_motion
 from hd_diag.records.tables import Table, read_table_motion, read_tables
+from hd_diag.streams.second_publisher import other_rows
 
 NOTHING = np.zeros(1200, np.int64)
 

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import median_filter
 
-from hd_diag.arrays import Floats, Integers
+from hd_diag.arrays import Floats, Integers, Rows
 from hd_diag.diagnosis.blocks import filtered
-
-Rows = npt.NDArray[np.bool_]
 
 _OUTLIER = 8.0  # robust standard deviations of what neighbours do not predict
 _OUTLIER_WINDOW = 51  # over which that deviation is taken [samples]

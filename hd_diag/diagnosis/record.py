@@ -8,13 +8,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hd_diag.arrays import Floats, Integers
+from hd_diag.arrays import Floats, Integers, Rows
 from hd_diag.diagnosis.blocks import unwrapped
 from hd_diag.diagnosis.noise import ORDER, bounds, numbered, spans
-from hd_diag.diagnosis.outliers import Rows, outliers, torque_outliers
+from hd_diag.diagnosis.outliers import outliers, torque_outliers
 from hd_diag.diagnosis.smoothing import deviation, rate, smooth
 from hd_diag.diagnosis.stamps import UNTOLD, Stamps, by_clock, usual_step
 from hd_diag.diagnosis.torque_smoothing import SmoothedTorque, smoothed_torque
+from hd_diag.streams.no_torque import no_torque
 
 # Columns of one length by name; None for those that were not recorded.
 Columns = dict[str, Any]
@@ -26,8 +27,6 @@ FASTEST = 1e4
 """Ten times what the smallest drives turn at, at most [rad/s]."""
 
 _ROUNDING = 1e-12  # of the largest angle, within which it is constant
-_PLACEHOLDERS = (1.0, 99.0, 999.0, 9999.0, 32767.0, 32768.0, 65535.0, 99999.0)  # of either sign [N m]
-_LEAST_TORQUE = 1e-6  # of any sample, without which none was measured [N m]: it bends no gear by an arcsec
 _PAUSE = 0.2  # rest that ends a run [s]
 _SLOW = 0.02  # of the top speed, within which friction turns [-]
 _REST_SPEED = 0.02  # of the record's 95th percentile of speed, below which the joint rests [-]
@@ -191,7 +190,7 @@ def prepare(
         "torque": torque,
         "temperature": _measured(temperature),
     }
-    columns["torque"], no_torque = measured_torque(columns["torque"])
+    columns["torque"], unmeasured = measured_torque(columns["torque"])
     refused = stamps.refused
     bag, stamps = by_clock(time, bag, stamps)
     usable = _usable(columns, bag)
@@ -247,7 +246,7 @@ def prepare(
         by_current=by_current and load is not None,
         by_velocity=by_velocity,
         stamps=stamps,
-        no_torque=no_torque,
+        no_torque=unmeasured,
     )
 
 
@@ -323,22 +322,12 @@ def _kept(columns: Columns, rows: Rows) -> Columns:
 
 
 def measured_torque(torque: Floats | None) -> tuple[Floats | None, str]:
-    """A torque [N m], shape (n,), or None where it was not measured, and what is reported in place of it.
-
-    A driver that measures none reports nan or zero, or one of `_PLACEHOLDERS` all the time. Another constant
-    may be a load that is known.
-    """
+    """A torque [N m], shape (n,), or None where it was not measured, and what is reported in place of it."""
     if torque is None:
         return None, ""
     known = torque[np.isfinite(torque)]
-    if not known.size:
-        return None, "is not a number throughout"
-    largest = float(np.abs(known).max())
-    if largest <= _LEAST_TORQUE:
-        return None, "is zero throughout" if largest == 0.0 else f"is never beyond {largest:.3g} N m"
-    if float(np.ptp(known)) == 0.0 and largest in _PLACEHOLDERS:
-        return None, f"is {known[0]:.6g} N m throughout"
-    return torque, ""
+    why = no_torque(*(known.min(), known.max()) if known.size else (math.inf, -math.inf))
+    return None if why else torque, why
 
 
 def _measured(values: Floats | None) -> Floats | None:

@@ -93,7 +93,8 @@ def status(
     faults += [*_order_faults(joint, orders), *of_log]
     faults = [*(fault for fault in faults if fault[1]), ("OK", 0, "OK")]
     code, level, message = max(faults, key=lambda fault: (fault[1], -FAULT_CODES.index(fault[0])))
-    message = "; ".join(dict.fromkeys([message, *(text for _, _, text in of_log)]))
+    others = [window.others] if window.others else []  # a worse fault may come of them
+    message = "; ".join(dict.fromkeys([message, *others, *(text for _, _, text in of_log)]))
     drive, table = config.drive, joint.table
     values: dict[str, str | float] = {
         "fault_code": code,
@@ -103,6 +104,7 @@ def status(
         "runout_um": abs(drive.mesh.runout) * 1e6,
         "input_angle_rad": angle,
         "torque_Nm": torque,
+        "torque_not_measured": joint.no_torque,
         "temperature_C": joint.temperature,
         "prediction": "exact" if table is None else "map",
         "prediction_error_bound_arcsec": 0.0 if table is None else table.error_bound / ARCSEC,
@@ -164,10 +166,14 @@ def _faults(
             ("LOAD_CONCENTRATION", "load_concentration", ratio, concentrated),
         ]
     rest = f"residual {residual / ARCSEC:.1f} arcsec rms; the measured error is not the predicted one"
+    if joint.no_torque:
+        rest = f"{rest}; no torque is measured: it {joint.no_torque}"
     judged.append(("RESIDUAL", "residual_rms", residual, f"{rest}; {_CRITICISE}"))
     found = [(code, limits[name].level(value), text) for code, name, value, text in judged]
     if warning := facts.get("warning"):
         found.append(("INPUT_INVALID", 1, warning))
+    if window.others:
+        found.append(("INPUT_INVALID", 1, window.others))
     return found
 
 

@@ -13,12 +13,15 @@ from hd_diag.monitor.model_run import ModelRun
 from hd_diag.monitor.residual_orders import ResidualOrders
 from hd_diag.monitor.settings import JointConfig
 from hd_diag.streams.alignment import Aligned, Alignment
+from hd_diag.streams.no_torque import no_torque
 from hd_diag.streams.rules import CLOCK_JUMP
+from hd_diag.streams.second_publisher import other_rows
 
 _JUDGED_AT_LEAST = 8  # stamps, for their usual step
 _STEPS_TOGETHER = 32
 _KEPT = 0.02  # by which the steps of a sender that keeps its period differ [-]
 _OFF_MULTIPLE = 0.25  # by which a step may differ from whole periods [-]
+_TURN = 2.0 * math.pi + 1e-6  # of an encoder that wraps [rad]
 _SAME = 0.9  # share of steps that are alike: the period is another now
 
 
@@ -26,7 +29,8 @@ class Window(NamedTuple):
     """What happened to a joint since the last report.
 
     Stamps of the inputs [ns]; residuals where an output angle was reported [rad]; torques [N m] and speeds
-    [rad/s] of all samples that a model predicted; how many samples were accepted and rejected.
+    [rad/s] of all samples that a model predicted; how many samples were accepted and rejected; what is to be
+    said of those of a second publisher.
     """
 
     stamps: Times
@@ -35,6 +39,7 @@ class Window(NamedTuple):
     speed: Floats
     accepted: int
     rejected: int
+    others: str
 
 
 class LostSamples:
@@ -160,9 +165,30 @@ class Joint:
         stamps, is_modelled = kept["stamp"][kept["paired"] == 0], np.isfinite(kept["speed"])
         self.lost.judge(stamps, rejected)
         residual = kept["residual"][np.isfinite(kept["output_angle"])]
-        return Window(
-            stamps, residual, kept["torque"][is_modelled], kept["speed"][is_modelled], accepted, rejected
-        )
+        modelled = kept["torque"][is_modelled], kept["speed"][is_modelled]
+        return Window(stamps, residual, *modelled, accepted, rejected, self._others(kept))
+
+    def _others(self, kept: Any) -> str:
+        """What is to be said of a second publisher's samples; nothing where the input is integrated."""
+        own = kept[kept["paired"] == 0]
+        if not own.size or self.config.signals.is_velocity:
+            return ""
+        time, bag = 1e-9 * (own["stamp"] - own["stamp"][0]), np.zeros(own.size, np.int64)
+        columns = {"input": own["input_angle"], "output": own["output_angle"]}
+        if not self.no_torque:
+            columns["torque"] = own["torque"]
+        seen, turns = self._streams.encoders[self._number], (abs(self.config.names.input_factor), 1.0)
+        within = (seen["high"] - seen["low"] <= _TURN).tolist()
+        turn = zip(columns, within, turns, strict=False)
+        return other_rows(time, bag, columns, {n: _TURN * size for n, one, size in turn if one})[1]
+
+    @property
+    def no_torque(self) -> str:
+        """What the reported torque is where nothing measured it; empty before the first half turn."""
+        seen = self._streams.encoders[self._number][0]
+        turned = seen["high"] - seen["low"] > 0.5 * _TURN
+        least, most = float(self.state["least_torque"]), float(self.state["most_torque"])
+        return no_torque(least, most) if turned else ""
 
     def predict(self, samples: Aligned) -> tuple[Floats, Floats]:
         """Transmission error [rad] and speed [rad/s] that the joint's model gives for its next samples."""

@@ -25,13 +25,13 @@ from hd_diag.diagnosis.record import (
     prepare,
     segments,
 )
-from hd_diag.diagnosis.second_publisher import other_rows
 from hd_diag.diagnosis.stamps import UNTOLD, Stamps, doubtful_clock
 from hd_diag.formatting import listed
 from hd_diag.messages.publications import TEMPERATURE, read_temperature
 from hd_diag.records.joint_topics import JointTopics, offered, place
 from hd_diag.streams.alignment import Aligned, Alignment, torque_between
 from hd_diag.streams.columns import LARGEST_TEMPERATURE
+from hd_diag.streams.second_publisher import other_rows
 from hd_diag.streams.signals import temperatures
 
 _REMEMBERED = 1 << 14  # samples over which topics of one bag may lag behind each other
@@ -265,7 +265,7 @@ def _own_rows(
         for begin, end in bounds(columns[2]) if name in measured and period[name] < inf else ():
             known = begin + np.flatnonzero(np.isfinite(columns[number][begin:end]))
             columns[number][known] = np.unwrap(columns[number][known], period=period[name])
-    return columns, (said,)
+    return columns, (f"{said}; they are left out",)
 
 
 def _degrees(data: bytes, streams: Alignment) -> float:

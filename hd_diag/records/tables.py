@@ -18,7 +18,6 @@ from hd_diag.diagnosis.blocks import unwrapped
 from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.outliers import torque_outliers
 from hd_diag.diagnosis.record import Record, RecordError, measured_torque, prepare
-from hd_diag.diagnosis.second_publisher import other_rows
 from hd_diag.diagnosis.stamps import Stamps, doubtful_clock
 from hd_diag.formatting import listed
 from hd_diag.records.joint_record import InputRecord
@@ -26,6 +25,7 @@ from hd_diag.records.text_table import TextTable, quantity, seconds, text_table
 from hd_diag.streams.alignment import ELSEWHERE, Alignment, Names
 from hd_diag.streams.columns import LARGEST_ANGLE, LARGEST_TEMPERATURE, LARGEST_TORQUE, JointStates
 from hd_diag.streams.rules import unseen
+from hd_diag.streams.second_publisher import other_rows
 from hd_diag.streams.signals import Unit, unit
 
 COLUMNS = ("time", "input", "output", "torque", "temperature")
@@ -165,7 +165,7 @@ def _own_rows(found: dict[str, Floats], stamps: Stamps) -> Stamps:
     if said:
         for name, column in found.items():
             found[name] = column[~rows]
-        stamps = stamps.and_then(Stamps(others=(said,)))
+        stamps = stamps.and_then(Stamps(others=(f"{said}; they are left out",)))
     return stamps
 
 

@@ -124,6 +124,7 @@ class Alignment:
         self._names = list(names)
         self.joints = np.zeros(len(names), JOINT)
         self.joints["heard"] = -1
+        self.joints["least_torque"], self.joints["most_torque"] = math.inf, -math.inf
         self.texts = [""] * len(names)
         self._inputs = np.zeros((len(names), remembered), INPUT)
         self._waiting = np.zeros((len(names), remembered), OUTPUT)

@@ -56,6 +56,8 @@ def align(
                     left = _integrate(joints[j], stamp[row], before, left, values[row, j])
                 if left & _TORQUE:
                     joints[j].torque, joints[j].torque_stamp = values[row, j, 2], stamp[row]
+                    joints[j].least_torque = min(joints[j].least_torque, values[row, j, 2])
+                    joints[j].most_torque = max(joints[j].most_torque, values[row, j, 2])
                 if left & _INPUT:
                     _take_input(joints[j], stamp[row], heard[row], left, values[row, j], inputs[j])
                     output = values[row, j, 1] if left & _OUTPUT else math.nan

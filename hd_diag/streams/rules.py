@@ -64,6 +64,7 @@ JOINT = np.dtype(
         ("by_reception", np.int64),
         *((name, np.int64) for name in ("reason", "reason_late")),
         *((name, np.float64) for name in ("reason_value", "torque", "assumed_torque", "input_factor")),
+        *((name, np.float64) for name in ("least_torque", "most_torque")),
         *((name, np.float64) for name in ("angle", "load")),
         ("followed", np.int64),
         *((name, np.float64) for name in ("velocity_ratio", "own", "away", "drift", "rate")),
@@ -72,10 +73,10 @@ JOINT = np.dtype(
 )
 """State of one joint: stamps [ns], when an input was last heard [ns], number of its stream, places in
 rings, counters, whether the last stamp is a time of reception, the last refusal, torque reported and
-assumed [N m], by which reported inputs are multiplied; input angle and torque of the last sample. Where the
-input is a velocity: whether the output is known, the ratio (else 0), output times ratio, how far the
-integral is off it and how far that drifted [rad], last velocity [rad/s]. What 16 bits of counts are of
-input and output, 0 where they do not count [rad]."""
+assumed [N m], by which reported inputs are multiplied; least and most of all torques reported [N m]; input
+angle and torque of the last sample. Where the input is a velocity: whether the output is known, the ratio
+(else 0), output times ratio, how far the integral is off it and how far that drifted [rad], last velocity
+[rad/s]. What 16 bits of counts are of input and output, 0 where they do not count [rad]."""
 
 ENCODER = np.dtype(
     [("stretch", np.int64), *((name, np.float64) for name in ("angle", "low", "high", "turns"))]

@@ -7,8 +7,7 @@ from math import inf
 
 import numpy as np
 
-from hd_diag.arrays import Floats, Integers
-from hd_diag.diagnosis.outliers import Rows
+from hd_diag.arrays import Floats, Integers, Rows
 
 _CANDIDATES = 4  # values of a column that are tried, the most frequent ones
 _LEAST = 3  # times that a value has to come between others: fewer are outliers
@@ -51,7 +50,7 @@ def other_rows(
     text = (
         f"{count} rows{' with ' if told else ''}{told}, {count / max(span, 1e-9):.3g} a second, stand "
         "between samples that go on elsewhere: no joint jumps there and back, a second publisher"
-        f"{where} does; they are left out"
+        f"{where} does"
     )
     return rows, text
 

@@ -1,0 +1,20 @@
+"""Torques that nothing measured."""
+
+from __future__ import annotations
+
+_PLACEHOLDERS = (1.0, 99.0, 999.0, 9999.0, 32767.0, 32768.0, 65535.0, 99999.0)  # of either sign [N m]
+_LEAST_TORQUE = 1e-6  # of any sample, without which none was measured [N m]: it bends no gear by an arcsec
+
+
+def no_torque(least: float, most: float) -> str:
+    """What a torque is that was not measured, by the least and most of it [N m]; empty for a measured one.
+
+    A driver that measures none reports nan or zero, or one of `_PLACEHOLDERS` all the time. Another constant
+    may be a load that is known.
+    """
+    if not least <= most:
+        return "is not a number throughout"
+    largest = max(abs(least), abs(most))
+    if largest <= _LEAST_TORQUE:
+        return "is zero throughout" if largest == 0.0 else f"is never beyond {largest:.3g} N m"
+    return f"is {least:.6g} N m throughout" if least == most and largest in _PLACEHOLDERS else ""
