@@ -38,6 +38,7 @@ from hd_diag.gears.characteristics import MeshOverTurn, ToothLoads, characterist
 from hd_diag.gears.page import Page
 from hd_diag.gears.page_fit import of_page as fitted
 from hd_diag.model.load_sharing import mesh_state
+from hd_diag.model.mesh import largest_displacement
 from hd_diag.model.torsion import torsion, torsion_table
 from hd_diag.report.facts import settings
 from hd_diag.report.teeth import teeth_over_turn
@@ -94,7 +95,7 @@ def test_what_is_usual_of_causes_goes_with_the_gear(name: str) -> None:
             wanted = [scale * each for each in (q.low, q.high, q.prior_scale)]
             assert_allclose([here.low, here.high, here.prior_scale], wanted, rtol=1e-3, err_msg=q.name)
     units = fit_parameters.units(drive) / np.array([scale.si for scale in fit_parameters.SCALES])
-    wanted = [*[expected["m"]] * 5, 1.0, expected["rad/(N m)"]]
+    wanted = [*[expected["m"]] * 5, 1.0, expected["rad/(N m)"], 1.0, 1.0]
     assert_allclose(units, wanted, rtol=1e-3)
 
 
@@ -152,8 +153,9 @@ def check_page(config: Config) -> None:
     assert np.abs(curve_off(drive, found)).max() < 0.07
     assert told.found.lost_motion == 0.0
     # What an assembly may add to the preload goes with the module: half a micrometre or more of it is left.
+    largest = min(3e-5, 0.9 * largest_displacement(drive.mesh.geometry)[0])
     left = first_excess(
-        drive, 0.0, "interference", config.flat["joint_1.tolerance.limits.interference"], 3e-5
+        drive, 0.0, "interference", config.flat["joint_1.tolerance.limits.interference"], largest
     )
     assert left.without < left.limit
     assert told.warnings == [] or drive.kinematics.ratio == 30.0
@@ -226,20 +228,27 @@ def test_the_best_place_of_the_slots_is_better_than_its_neighbours() -> None:
                 best.mesh, geometry=dataclasses.replace(geometry, **places), tooth_compliance=1e-6 * values[0]
             )
             own = torsion_table(mesh, angle, found.torques).mean(axis=0) + 1e-6 * values[1] * found.torques
-            return (own / found.torsion(found.torques) - 1.0) ** 2
+            return (own / found.torsion(found.torques) - 1.0) ** 4
 
         start = [1e6 * best.mesh.tooth_compliance, 1e6 * best.cup_compliance]
-        return 2.0 * float(least_squares(off, start, bounds=([0.1, 0.0], [10.0, 20.0]), xtol=1e-12).cost)
+        return 2.0 * float(
+            least_squares(
+                off, start, bounds=([0.1, 0.0], [10.0, 20.0]), xtol=1e-12, ftol=1e-12, gtol=1e-30
+            ).cost
+        )
 
     here = miss(0.0)
-    assert best.miss == pytest.approx(here, rel=1e-2)
+    assert best.miss == pytest.approx(here, rel=3e-2)
     assert here < min(miss(-0.5e-6), miss(0.5e-6))
 
 
 def test_the_page_of_the_example_s_size_has_the_example_s_teeth() -> None:
     own = of_page("25/80", ratio=100.0, rated_torque=56.0).flat
     fitted = ("tooth_compliance", "cup_compliance", "circular_spline_datum", "circular_spline_tip_radius")
-    same = [n for n in DEFAULTS if not n.startswith(("gear.", "limits.", "tolerance.")) and n not in fitted]
+    width = {"face_width": 0.37 * 30e-3, "cup_length": 1.3 * 30e-3, "sections": 5}
+    assert {n: own[f"joint_1.{n}"] for n in width} == pytest.approx(width, rel=1e-5)
+    known = {*fitted, *width}
+    same = [n for n in DEFAULTS if not n.startswith(("gear.", "limits.", "tolerance.")) and n not in known]
     assert {n: own[f"joint_1.{n}"] for n in same} == {n: DEFAULTS[n] for n in same}
     datum, tip = (own[f"joint_1.{name}"] - DEFAULTS[name] for name in fitted[2:])
     assert datum == pytest.approx(tip, abs=1e-12)
@@ -314,7 +323,7 @@ def test_a_ratio_of_30_is_done_and_what_changed_is_said() -> None:
     told = assess(config, config.joints[0])
     assert np.abs(told.torsion[2] / told.torsion[1] - 1.0).max() < 0.07
     (warning,) = told.warnings
-    assert "60 teeth of the flexspline: slots have to lie 164 µm further out" in warning
+    assert "60 teeth of the flexspline: slots have to lie 162 µm further out" in warning
 
 
 @pytest.mark.parametrize(("output", "teeth"), [("flexspline", (202, 204)), ("circular_spline", (200, 202))])
@@ -445,6 +454,20 @@ def test_what_is_given_beside_a_page_holds_and_the_rest_follows_it() -> None:
     assert config.joints[0].drive.mesh.geometry.circular_spline_datum == 0.02393
     assert config.flat["joint_1.flexspline_teeth"] == 320
     assert set(config.given) - set(given) == {"joint_1.ratio", "joint_1.circular_spline_datum"}
+
+
+@pytest.mark.parametrize(
+    "width", [{"sections": 1}, {"face_width": 9e-3, "cup_length": 0.0}, {"cup_length": 0.05, "sections": 3}]
+)
+def test_a_width_that_is_given_beside_a_page_holds_and_the_curve_is_that_of_it(width: dict[str, Any]) -> None:
+    config = resolve({**of_page("25/80").given, **{f"joint_1.{name}": v for name, v in width.items()}})
+    own = of_joint(config.flat, "joint_1")
+    assert {name: own[name] for name in width} == width
+    assert {name for name in config.given if "gear" not in name} - {"joints"} == {
+        f"joint_1.{name}" for name in width
+    }
+    assert np.abs(curve_off(config.joints[0].drive, page_of(own))).max() < 0.07
+    assert resolve(dict(config.flat)).flat == config.flat
 
 
 def test_a_file_with_everything_still_follows_its_page(tmp_path: Path) -> None:

@@ -13,7 +13,13 @@ from hd_diag.arrays import Floats
 from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.config.defaults import EXAMPLE, page_of
 from hd_diag.config.parameters import of_joint
-from hd_diag.gears.characteristics import Characteristics, characteristics, mean_torsion, slot_shift
+from hd_diag.gears.characteristics import (
+    Characteristics,
+    characteristics,
+    mean_torsion,
+    slot_shift,
+    tooth_loads,
+)
 from hd_diag.gears.page import Page
 
 _FAR = 1.5  # reached over given stiffness, either way [-]
@@ -74,12 +80,18 @@ def assess(config: Config, joint: JointConfig) -> Assessment:
 
 
 def _warnings(found: Characteristics, page: Page | None, joint: JointConfig) -> Iterator[str]:
-    """What no gear has, or not the one of the page; the characteristics are those without eccentricity."""
+    """What no gear has, or not the one of the page; the characteristics are those without eccentricity.
+
+    A cup's coning presses its teeth, as it should: whether curve and slots fit shows in the middle section.
+    """
     drive, loads, limits = joint.configured, found.loads, joint.limits
+    middle = replace(drive.mesh, geometry=replace(drive.mesh.geometry, sections=1), tilt=0.0)
+    middle = replace(middle, eccentricity=0.0, runout=0.0)
+    pressed = tooth_loads(replace(drive, mesh=middle)).overlap
     share = _BY_PAGE if page else _BY_ITSELF
-    if loads.overlap > max(0.0, share * limits["overlap"].warn):
+    if pressed > max(0.0, share * limits["overlap"].warn):
         yield (
-            f"the lobes overlap by {loads.overlap * 1e6:.3g} µm without eccentricity, which presses a tooth "
+            f"the lobes overlap by {pressed * 1e6:.3g} µm without eccentricity, which presses a tooth "
             f"with {loads.idle:.3g} N without torque: neutral curve and slots do not fit each other"
         )
     steps = zip(_STEPS, found.stiffness.tolist(), page.stiffness, strict=True) if page else ()

@@ -17,7 +17,8 @@ from hd_diag.formatting import rounded
 from hd_diag.gears import catalogue, page_fit
 from hd_diag.gears.characteristics import MeshOverTurn, slot_phases
 from hd_diag.gears.page import T1_SHARE, T2_SHARE, Page
-from hd_diag.gears.similarity import LEAST_TEETH
+from hd_diag.gears.page_fit import Width
+from hd_diag.gears.similarity import LEAST_TEETH, SECTIONS, similar
 from hd_diag.model.cams import CAMS
 from hd_diag.model.mesh import Mesh
 
@@ -39,8 +40,6 @@ _COMPLIANCE = 1.75e-5
 _ERROR_OF_ECCENTRICITY = 0.19
 _MODEL_SHARE = 0.25
 
-_SECTIONS = 5  # along a face width
-
 
 def joint_values(given: Mapping[str, Value], teeth: bool = True) -> tuple[dict[str, Value], dict[str, Value]]:
     """All parameters of a joint from those given, by their names within it; and those that were given.
@@ -51,12 +50,17 @@ def joint_values(given: Mapping[str, Value], teeth: bool = True) -> tuple[dict[s
     """
     page = page_of(given)
     _check_shape(given)
-    values = {**DEFAULTS, **(resolved(page) if page else {})}
-    if given.get("face_width", values["face_width"]):
-        values["sections"] = max(values["sections"], _SECTIONS)
+    values = dict(DEFAULTS)
+    if page:
+        usual = usual_width(page)
+        values |= resolved(page, tuple((n, given[n]) for n in usual if given.get(n, usual[n]) != usual[n]))
+        values |= usual
+    elif given.get("face_width"):
+        values["sections"] = SECTIONS
     drive = drive_from({**values, **given}, teeth)
     values |= scaled(drive)
-    if page:  # what an assembly may add to the preload that the page's torsion curve asks for
+    # What an assembly may add to the preload that the page's torsion curve asks for, and a cup's coning.
+    if page or (drive.mesh.geometry.cup_length and drive.mesh.geometry.sections > 1):
         values |= {name: rounded(values[name] + rest) for name, rest in _at_rest(drive.mesh).items()}
     for name in LIMITS:  # where an error alone is given, its warning is not above it
         warn, error = f"limits.{name}.warn", f"limits.{name}.error"
@@ -107,9 +111,22 @@ def _check_units(page: Mapping[str, float], given: Set[str]) -> None:
             raise ValueError(f"gear.{name}: {error}") from error
 
 
+def usual_width(page: Page) -> dict[str, Value]:
+    """Width of a page's teeth, the length of its cup and sections, of which pages say nothing."""
+    geometry = similar(EXAMPLE.mesh.geometry, _scale(page), EXAMPLE.mesh.geometry.flexspline_teeth)
+    return {name: getattr(geometry, name) for name in ("face_width", "cup_length", "sections")}
+
+
+def _scale(page: Page) -> float:
+    return page.pitch_diameter / (_EXAMPLE_SIZE * _TENTH_OF_AN_INCH)
+
+
 @lru_cache(maxsize=256)
-def resolved(page: Page) -> dict[str, Value]:
-    """Parameters of the drive of a page; raises ValueError saying why there is none."""
+def resolved(page: Page, width: Width = ()) -> dict[str, Value]:
+    """Parameters of the drive of a page; raises ValueError saying why there is none.
+
+    With what is known of its width, see :func:`hd_diag.gears.page_fit.of_page`.
+    """
     flexspline = page.output == "flexspline"
     slots = 2.0 * abs(page.ratio) + (2.0 if flexspline else 0.0)
     if slots % 2.0:
@@ -117,8 +134,7 @@ def resolved(page: Page) -> dict[str, Value]:
             f"gear.ratio: {page.ratio:g} is not a whole number, as two more teeth on the circular spline give"
         )
     try:
-        scale = page.pitch_diameter / (_EXAMPLE_SIZE * _TENTH_OF_AN_INCH)
-        _, mesh, cup = page_fit.of_page(EXAMPLE.mesh, scale, int(slots) - 2, page)
+        _, mesh, cup = page_fit.of_page(EXAMPLE.mesh, _scale(page), int(slots) - 2, page, width)
     except ValueError as error:
         raise ValueError(f"gear: {error}") from error
     own: dict[str, Value] = {"ratio": page.ratio, "rated_torque": page.rated_torque}

@@ -16,6 +16,7 @@ from hd_diag.config.parameters import JOINT_PARAMETERS, Parameter, nested
 from hd_diag.formatting import ARCSEC
 from hd_diag.gears.characteristics import slot_shift
 from hd_diag.gears.page import ASSUMED_PROFILE
+from hd_diag.model.geometry import Geometry
 
 _WIDTH = 118  # of a comment
 _COLUMN = 62  # at which the comment of a value begins
@@ -81,8 +82,19 @@ def assumed(joint: JointConfig) -> str:
         f"teeth of the example drive (size 25, ratio 100; config/example_drive.yaml) times "
         f"{geometry.module / example.module:.3g}, its pitch circle times "
         f"{geometry.curve.radius / example.curve.radius:.3g}, deformation with the teeth; slots "
-        f"{abs(shift) * 1e6:.1f} µm further {side}, where the page's torsion curve has them"
+        f"{abs(shift) * 1e6:.1f} µm further {side}, where the page's torsion curve has them; "
+        f"{width_in_words(geometry)}"
     )
+
+
+def width_in_words(geometry: Geometry) -> str:
+    """How wide the teeth are, how long the cup, and how many sections stand for them."""
+    if geometry.sections == 1:
+        return "the middle section stands for the width"
+    length = (
+        f"{1e3 * geometry.cup_length:.3g} mm from the cup's bottom" if geometry.cup_length else "of a ring"
+    )
+    return f"teeth {1e3 * geometry.face_width:.3g} mm wide, {length}, in {geometry.sections} sections"
 
 
 def _head(assessed: Assessment, joint: JointConfig, command: str) -> Iterator[str]:

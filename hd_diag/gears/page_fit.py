@@ -8,22 +8,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.formatting import rounded
-from hd_diag.gears.characteristics import MeshOverTurn, slot_phases
+from hd_diag.gears.characteristics import PHASES, MeshOverTurn, slot_phases
 from hd_diag.gears.page import Page
 from hd_diag.gears.similarity import module_scale, moved, similar
 from hd_diag.model.mesh import Mesh
 
 _PROBED = 4e-6  # by which slots move to tell the overlap's change, of a drive with the known one's module [m]
-_AROUND = (-30e-6, 10e-6)  # in which a page's place is looked for, from where teeth come free [m]
+_AROUND = (-40e-6, 10e-6)  # in which a page's place is looked for, from where teeth come free [m]
+_PLACES = 14  # tried first: where sections come to bear one after the other there are several good ones
 _FARTHEST = 120e-6  # from the place that the module gives; beyond, teeth are others [m]
 _FINE = 0.02e-6  # to which a place is found; 0.1 % of the torsion at T1/10 [m]
+_FEW = 4  # phases of the teeth at which these are
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+_POWER = 8  # of relative errors in a miss: the largest alone nearly counts; even
 
 _DIGITS_KEPT = 4  # significant, of a compliance
 _SOFTER = 10.0  # logarithm of how much softer or stiffer teeth may be than where the search begins [-]
@@ -31,11 +34,14 @@ _SOFTEST_CUP = 0.95  # of 1 / K1: as soft as all of it would leave nothing to th
 _TRIALS, _CLOSE = 65, 1e-6  # compliances beside each other; of their logarithm, and of the cup's share [-]
 
 
+Width = tuple[tuple[str, Any], ...]
+
+
 class PageFit(NamedTuple):
     """A mesh with its cup's compliance [rad/(N m)], and how far its torsion misses the page's.
 
-    The miss is the sum of the fourth powers of the relative errors, that of a lost motion among them: the
-    largest count.
+    The miss is the sum of high powers of the relative errors, that of a lost motion among them: the largest
+    count.
     """
 
     miss: float
@@ -43,7 +49,7 @@ class PageFit(NamedTuple):
     cup_compliance: float
 
 
-def of_page(known: Mesh, scale: float, teeth: int, page: Page) -> PageFit:
+def of_page(known: Mesh, scale: float, teeth: int, page: Page, width: Width = ()) -> PageFit:
     """A mesh similar to a known one that has the page's torsion curve.
 
     Parameters
@@ -55,13 +61,15 @@ def of_page(known: Mesh, scale: float, teeth: int, page: Page) -> PageFit:
     teeth : int
         Of the flexspline.
     page : Page
+    width : tuple of (str, number)
+        What is known of face width and cup length [m], or of the number of sections, by name.
 
     Raises
     ------
     ValueError
         Saying why there is none.
     """
-    start = replace(known, geometry=similar(known.geometry, scale, teeth))
+    start = replace(known, geometry=replace(similar(known.geometry, scale, teeth), **dict(width)))
     k = module_scale(known.geometry, scale, teeth)
     place, slope = _free(start, k * _PROBED)
     if not abs(place) <= k * _FARTHEST:
@@ -86,15 +94,18 @@ def _free(start: Mesh, step: float) -> tuple[float, float]:
 
 
 def _nearest(start: Mesh, page: Page, low: float, high: float, fine: float) -> PageFit:
-    """The fit with the slots at the best place of a range [m], by golden section."""
+    """The fit with the slots at the best place of a range [m]: of some, then by golden section about it."""
 
-    def fitted(shift: float) -> PageFit:
+    def fitted(shift: float, phases: int = PHASES) -> PageFit:
         try:
             mesh = replace(start, geometry=moved(start.geometry, shift))
         except ValueError:  # teeth do not engage there
             return PageFit(math.inf, start, 0.0)
-        return _with_compliances(mesh, page)
+        return _with_compliances(mesh, page, phases)
 
+    places = np.linspace(low, high, _PLACES).tolist()
+    best = min(range(_PLACES), key=lambda index: fitted(places[index], _FEW).miss)
+    low, high = places[max(best - 1, 0)], places[min(best + 1, _PLACES - 1)]
     inner, outer = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
     at_inner, at_outer = fitted(inner), fitted(outer)
     while high - low > fine:
@@ -102,19 +113,19 @@ def _nearest(start: Mesh, page: Page, low: float, high: float, fine: float) -> P
             high, outer, at_outer = outer, inner, at_inner
             inner = high - _GOLDEN * (high - low)
             at_inner = fitted(inner)
-        else:  # where slots lie far too deep, all places are alike
+        else:
             low, inner, at_inner = inner, outer, at_outer
             outer = low + _GOLDEN * (high - low)
             at_outer = fitted(outer)
     return min(at_inner, at_outer, key=lambda fit: fit.miss)
 
 
-def _with_compliances(mesh: Mesh, page: Page) -> PageFit:
+def _with_compliances(mesh: Mesh, page: Page, phases: int) -> PageFit:
     """The fit with the best compliance of a tooth pair, found by trials side by side, and of the cup.
 
     Teeth that are softer by a factor turn as far at a torque as these do at that factor times it.
     """
-    teeth, torque = MeshOverTurn(mesh, slot_phases(mesh.geometry)), page.torques
+    teeth, torque = MeshOverTurn(mesh, slot_phases(mesh.geometry, phases)), page.torques
     wanted = page.torsion(torque)
     share, low, high = torque / page.k1 / wanted, -_SOFTER, _SOFTER
     while high - low > _CLOSE:
@@ -122,14 +133,14 @@ def _with_compliances(mesh: Mesh, page: Page) -> PageFit:
         beta = teeth.torsion(np.outer(np.exp(trial), torque).ravel()).mean(axis=0).reshape(_TRIALS, -1)
         cup = _cup_shares(beta / wanted, share)
         off = beta / wanted + cup[:, None] * share - 1.0
-        miss = ((off * off) ** 2).sum(axis=1)
+        miss = (off**_POWER).sum(axis=1)
         best = int(np.argmin(miss))
         low, high = trial[max(best - 1, 0)], trial[min(best + 1, _TRIALS - 1)]
     tooth = rounded(mesh.tooth_compliance * math.exp(trial[best]), _DIGITS_KEPT)
     softness = float(cup[best])
     of_cup = rounded(softness / page.k1, _DIGITS_KEPT) if softness > 1e-6 else 0.0
     lost = teeth.lost_motion() / page.lost_motion - 1.0 if page.lost_motion else 0.0
-    return PageFit(float(miss[best]) + lost**4, replace(mesh, tooth_compliance=tooth), of_cup)
+    return PageFit(float(miss[best]) + lost**_POWER, replace(mesh, tooth_compliance=tooth), of_cup)
 
 
 def _cup_shares(reached: Floats, share: Floats) -> Floats:
@@ -142,6 +153,6 @@ def _cup_shares(reached: Floats, share: Floats) -> Floats:
     while np.max(high - low) > _CLOSE:
         middle = 0.5 * (low + high)
         off = reached + middle[:, None] * share - 1.0
-        falling = (off * off * off * share).sum(axis=1) < 0.0
+        falling = (off ** (_POWER - 1) * share).sum(axis=1) < 0.0
         low, high = np.where(falling, middle, low), np.where(falling, high, middle)
     return low

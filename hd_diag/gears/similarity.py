@@ -19,6 +19,12 @@ from hd_diag.model.tooth_profile import DoubleArc
 LEAST_TEETH = 60
 """Of a flexspline: below a ratio of 30 no gear with the teeth of ratio 100 has been seen."""
 
+FACE_WIDTH, CUP_LENGTH = 0.37, 1.3
+"""Width of the teeth, and their middle's distance from the cup's bottom, over the pitch radius [-]."""
+
+SECTIONS = 5
+"""Along the width: the torsion is then that of any more, to 1 %."""
+
 _DIGITS = 10  # decimals of a length: a tenth of a nanometre, so that every machine has the same numbers [m]
 _STEPS = 12  # of a solution; each leaves a fiftieth of the error, or less
 
@@ -29,9 +35,9 @@ def module_scale(known: Geometry, scale: float, teeth: int) -> float:
 
 
 def similar(known: Geometry, scale: float, teeth: int) -> Geometry:
-    """Geometry with a pitch circle `scale` times that of a known one, and so many teeth.
+    """Geometry with a pitch circle `scale` times that of a known one, and so many teeth, in sections.
 
-    Slots lie where the module has them.
+    Slots lie where the module has them; width and length are those of usual cups.
 
     Parameters
     ----------
@@ -66,6 +72,9 @@ def similar(known: Geometry, scale: float, teeth: int) -> Geometry:
         _scaled(known.circular_spline_slot, k),
         major + k * (known.circular_spline_datum - known.semi_major),
         major + k * (known.circular_spline_tip_radius - known.semi_major),
+        round(FACE_WIDTH * radius, _DIGITS),
+        round(CUP_LENGTH * radius, _DIGITS),
+        SECTIONS,
     )
 
 

@@ -33,8 +33,10 @@ TOLERANCE = 0.01 * ARCSEC
 
 # Wave generator angles per tooth passing. The torsion's slope breaks where a pair comes into load; with fewer
 # teeth each pair brings more of the stiffness and moves further per angle, so the steps per tooth go as
-# 1 / Z_G^2. 64 keep a gear of ratio 100 within TOLERANCE, and so do 250 one of ratio 50 and 25 one of 160.
+# 1 / Z_G^2. 64 keep a gear of ratio 100 within TOLERANCE, and so do 250 one of ratio 50 and 25 one of 160. Half
+# as many do in sections, of which each brings a share of a pair's stiffness.
 STEPS_PER_TOOTH = 64
+_IN_SECTIONS = 0.5
 _FINE_TEETH = 202
 _CHECKED_ANGLES = 512
 _CHECKED_TORQUES = 64
@@ -129,7 +131,8 @@ def build(
     wanted : callable
         Called with the fraction done; returning False gives the build up.
     steps_per_tooth : int
-        Wave generator angles per tooth passing of a gear with 202 slots; the error falls with its square.
+        Wave generator angles per tooth passing of a gear with 202 slots in one section; the error falls with
+        its square.
     threads : int
         How many solve angles at once; the map is the same.
 
@@ -143,7 +146,8 @@ def build(
         If `wanted` returned False.
     """
     teeth = mesh.geometry.circular_spline_teeth
-    steps = teeth * round(steps_per_tooth * (_FINE_TEETH / teeth) ** 2)
+    share = 1.0 if mesh.geometry.sections == 1 else _IN_SECTIONS
+    steps = teeth * round(share * steps_per_tooth * (_FINE_TEETH / teeth) ** 2)
     repeats = math.gcd(_repeats(mesh), steps)
     angle = 2.0 * np.pi / steps * np.arange(steps // repeats, dtype=np.float64)
     limit = float(torque_limit)

@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 
 from hd_diag.arrays import Complexes, Floats, Integers
 from hd_diag.drive import Drive
-from hd_diag.model.mesh import Mesh
+from hd_diag.model.mesh import Mesh, largest_displacement
 from hd_diag.model.torsion import torsion
 from hd_diag.tolerance.evaluation import CRITERIA, NAMES, evaluate, of_moments, reference_stiffness
 
@@ -35,6 +35,7 @@ _TURN_DIRECTIONS, _TURN_PHASES = 4, 6  # within a slot pitch: of the eccentricit
 
 _HILLS = 8  # local maxima that are climbed
 _ROUNDS, _CLOSER, _BESIDE = 6, 3, 3  # of a climb: so many grids, each so much finer, points to either side
+_ROOM = 0.8  # of what a mesh can be displaced by: runout and datum of an assembly take their part
 
 # A mesh without runout has images of each of its moments: mirrored, and with the lobes swapped. Values this
 # near to the greatest [-], more than a climb misses, are such images: the first of them is taken, else
@@ -88,8 +89,9 @@ def input_angle(drive: Drive, wave_generator_angle: float) -> float:
 
 
 def largest_eccentricity(drive: Drive) -> float:
-    """How far to look: a fifth of the module [m]."""
-    return 0.2 * drive.mesh.geometry.module
+    """How far to look: a fifth of the module, and not where the mesh cannot be displaced to [m]."""
+    geometry = drive.mesh.geometry
+    return min(0.2 * geometry.module, _ROOM * largest_displacement(geometry)[0])
 
 
 def check_largest(drive: Drive, largest: float) -> None:
