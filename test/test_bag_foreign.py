@@ -294,3 +294,15 @@ def test_a_row_that_would_fill_the_memory_is_refused_alone(tmp_path: Path) -> No
     assert motion is not None
     assert (motion.time.size, motion.stamps.refused) == (COUNT - 1, 1)
     assert peak < 60e6
+
+
+def test_a_row_that_was_too_long_is_told_with_its_size(tmp_path: Path) -> None:
+    """Also in a topic of which nothing else can be read."""
+    with RosbagsWriter(tmp_path / "bag", version=9) as writer:
+        joints = writer.add_connection("/joint_states", JOINT_STATE, typestore=jazzy())
+        writer.write(joints, 1, STATES[0].tobytes())
+    with closing(sqlite3.connect(tmp_path / "bag" / "bag.db3")) as db:
+        db.execute("UPDATE messages SET data = zeroblob(33554433)")
+        db.commit()
+    told = hd_diag("topics", tmp_path / "bag").output
+    assert "has 33554433 bytes, more than the 33554432 that are read" in told

@@ -15,8 +15,9 @@ from numpy.testing import assert_allclose
 from robot_messages import DYNAMIC, FRANKA, KUKA, START, Messages
 from test_recording import NAMES, states, write
 
+from hd_diag.bag import BagReader, BagWriter
 from hd_diag.config.configuration import load
-from hd_diag.messages.schemas import jazzy, serialize
+from hd_diag.messages.schemas import Definition, jazzy, serialize
 from hd_diag.records.joint_record import read_bags
 
 
@@ -218,3 +219,36 @@ def test_a_bag_without_angles(tmp_path: Path) -> None:
     assert (result.exit_code, result.output.splitlines()[-1][:20]) == (0, "no angle that moves:")
     result = hd_diag("topics", tmp_path / "none.mcap")
     assert (result.exit_code, result.stderr) == (2, f"hd-diag: {tmp_path / 'none.mcap'}: does not exist\n")
+
+
+def test_all_topics_are_read_in_two_passes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many there are; one message shows its number, and a topic of an unknown type ends alone."""
+    asked: list[int] = []
+    own = BagReader.batches
+
+    def counted(reader: BagReader, topics: Any = None, **how: Any) -> Any:
+        asked.append(len(topics))
+        return own(reader, topics, **how)
+
+    monkeypatch.setattr(BagReader, "batches", counted)
+    with BagWriter(tmp_path / "a.mcap") as writer:
+        for k in range(300):
+            value = np.float64(k).tobytes()
+            writer.write(f"/t{k}", "std_msgs/msg/Float64", b"\0\1\0\0" + value, START + k)
+        unknown = Definition("a/msg/B", "NoSuchType x\n")
+        writer.write("/unknown", "a/msg/B", b"\0\1\0\0" + value, START, known=unknown)
+    hd_diag("topics", tmp_path / "a.mcap", "--json", tmp_path / "t.json")
+    content = json.loads((tmp_path / "t.json").read_text())
+    assert asked == [300, 300]
+    assert [topic["numbers"][0]["first"] for topic in content["topics"][:300]] == [*map(float, range(300))]
+    assert "cannot be understood" in content["topics"][300]["problem"]
+
+
+def test_a_message_that_cannot_be_read_ends_its_topic_alone(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "a.mcap", compression="none") as writer:
+        writer.write("/good", "std_msgs/msg/Float64", b"\0\1\0\0" + np.float64(3.0).tobytes(), START)
+        writer.write("/odd", "std_msgs/msg/Float64", b"\0\1\0\0", START + 1)
+    hd_diag("topics", tmp_path / "a.mcap", "--json", tmp_path / "t.json")
+    good, odd = json.loads((tmp_path / "t.json").read_text())["topics"]
+    assert (good["problem"], good["numbers"][0]["first"]) == ("", 3.0)
+    assert "no message can be read; the last " in odd["problem"]

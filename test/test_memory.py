@@ -1,5 +1,6 @@
 """What the node and a replay may take: 250 and 300 MB, of which small cases take a known part."""
 
+import errno
 import os
 import subprocess
 import sys
@@ -14,7 +15,7 @@ from running import START_LIMIT, Process
 
 from hd_diag.bag import BagWriter
 from hd_diag.config.configuration import dump, resolve
-from hd_diag.memory import give_back, map_large_arrays
+from hd_diag.memory import give_back, is_memory, map_large_arrays
 from hd_diag.replay.preparation import changed_since
 
 SEVEN: dict[str, Any] = {
@@ -93,7 +94,7 @@ def test_a_kernel_that_changed_is_compiled_apart_too(tmp_path: Path) -> None:
 GIVEN_BACK = """
 import re, numba
 from pathlib import Path
-from hd_diag.memory import give_back, map_large_arrays
+from hd_diag.memory import give_back, is_memory, map_large_arrays
 
 def resident():
     maps = re.split(r"(?m)^(?=[0-9a-f]+-[0-9a-f]+ )", Path("/proc/self/smaps").read_text())
@@ -145,3 +146,29 @@ def test_large_arrays_are_given_back_when_they_are_freed() -> None:
         code = [sys.executable, "-c", FREED.format(mapped=mapped)]
         left.append(int(subprocess.run(code, capture_output=True, text=True, check=True).stdout))
     assert left[0] < 10_000 < 60_000 < left[1]  # [kB]
+
+
+@pytest.mark.parametrize(
+    ("error", "is_so"),
+    [
+        (MemoryError(), True),
+        (OSError(errno.ENOMEM, os.strerror(errno.ENOMEM)), True),
+        (ImportError("libLLVM.so: failed to map segment from shared object"), True),
+        (RuntimeError("can't start new thread"), True),
+        (OSError(errno.ENOENT, os.strerror(errno.ENOENT)), False),
+        (ImportError("No module named 'x'"), False),
+    ],
+)
+def test_a_lack_of_memory_is_known_in_all_its_forms(error: Exception, is_so: bool) -> None:
+    """Also where it is the cause of another error, as of an import that fails."""
+    wrapped = ImportError("numpy's own words")
+    wrapped.__cause__ = error
+    assert (is_memory(error), is_memory(wrapped)) == (is_so, is_so)
+
+
+def test_a_limit_under_which_a_library_would_end_the_process_is_refused_first() -> None:
+    """OpenBLAS leaves with 1 and three lines."""
+    code = "ulimit -v 150000; exec " + f"{sys.executable} -m hd_diag topics x.mcap"
+    run = subprocess.run(["bash", "-c", code], capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stdout) == (2, "")
+    assert run.stderr == ("hd-diag: there is not enough memory: ulimit -v is 150000 kB, below 250000 kB\n")

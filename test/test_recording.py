@@ -418,6 +418,6 @@ def test_a_bag_of_what_rclpy_serializes(given: dict[str, np.ndarray], tmp_path: 
     assert record.temperature is not None
     with BagReader(bag) as reader:
         assert [len(reader.deserialize(batch)[1]) for batch in reader.batches(grouped=True)] == [0, 0]
-        assert [n.field for n in contents(reader, reader.topics[0]).numbers] == [
+        assert [n.field for n in contents(reader, reader.topics[:1])[0].numbers] == [
             f"position[{n}]" for n in NAMES
         ]

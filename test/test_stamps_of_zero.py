@@ -142,7 +142,7 @@ def test_what_is_not_mapped_is_not_checked(effort: int, velocity: int, tmp_path:
     """What topics proposes, diagnose and replay take; efforts that fit are read whatever the velocities."""
     path = bag(tmp_path / "a.mcap", states_with(effort, velocity))
     with BagReader(path) as reader:
-        found = contents(reader, reader.topics[0]).numbers
+        found = contents(reader, reader.topics[:1])[0].numbers
     ((_, _, slope),) = pairs(found)
     assert abs(slope - 100.0) < 0.1
     mapped = {"input__field": "position[joint_1_motor]", "output_signal__field": "position[joint_1]"}

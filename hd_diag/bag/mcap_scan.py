@@ -80,6 +80,8 @@ class Scan:
         self.sections: list[Section] = []
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
+        self._kept: dict[bytes, bytes] = {}  # records of schemas and channels by kind and number
+        self._topics: dict[int, Topic] = {}
         self.statistics: Statistics | None = None
         self.profile = self.problem = ""
         self._path, self._file = path, file
@@ -138,13 +140,21 @@ class Scan:
             self.problem, self.statistics = "is damaged: the checksum of its summary is wrong", None
 
     def keep(self, record: bytes) -> None:
-        """Remember what a record says; raises several kinds of errors where it is damaged."""
+        """Remember what a record says; raises several kinds of errors where it is damaged.
+
+        Every chunk, and the summary, may say the same once more of thousands of channels.
+        """
+        key = record[:1] + record[RECORD.size : RECORD.size + 2]
+        if self._kept.get(key) == record:
+            return
         for found in StreamReader(BytesIO(record), skip_magic=True).records:
             match found:
                 case Schema():
-                    self.schemas[found.id] = found
+                    self.schemas[found.id], self._kept[key] = found, record
+                    self._topics.clear()
                 case Channel():
-                    self.channels[found.id] = found
+                    self.channels[found.id], self._kept[key] = found, record
+                    self._topics.pop(found.id, None)
                 case Statistics():
                     self.statistics = found
                 case Header():
@@ -153,7 +163,9 @@ class Scan:
 
     def topics(self) -> dict[int, Topic]:
         """Topics of the channels, by number."""
-        return {number: self._topic(channel) for number, channel in self.channels.items()}
+        for number in self.channels.keys() - self._topics.keys():
+            self._topics[number] = self._topic(self.channels[number])
+        return {number: self._topics[number] for number in self.channels}
 
     def _topic(self, channel: Channel) -> Topic:
         schema, encoding = self.schemas.get(channel.schema_id), channel.message_encoding

@@ -243,11 +243,12 @@ class BagReader(AbstractContextManager["BagReader"]):
             raise BagError(self.path, f"{topic.name}: {exc}") from exc
 
     def _mixed(self, topics: dict[int, Topic], part: Block) -> Mixed:
-        channels, first = np.unique(part.channel, return_index=True)
+        channels, first, counts = np.unique(part.channel, return_index=True, return_counts=True)
+        each = np.split(np.argsort(part.channel, kind="stable"), np.cumsum(counts)[:-1])
         batches = []
-        for channel in channels[np.argsort(first)]:
-            rows = np.flatnonzero(part.channel == channel)
-            own, topic = part[rows] if len(channels) > 1 else part, topics[int(channel)]
+        for number in np.argsort(first):
+            rows, topic = each[number], topics[int(channels[number])]
+            own = part[rows] if len(channels) > 1 else part
             payload = own.payload()
             if topic.type_name == JOINT_STATE and self.types(topic) is not jazzy():
                 payload = [standard_joint_state(data, self.types(topic)) for data in payload]

@@ -18,14 +18,12 @@ from hd_diag.bag.block import Block, LongMessage, Topic
 from hd_diag.bag.errors import BagError
 from hd_diag.bag.mcap_chunk import AT_ONCE, LARGE
 from hd_diag.bag.recorder_clock import RecorderClock
-from hd_diag.messages.schemas import Definition
+from hd_diag.messages.schemas import MAX_READ, Definition, too_long
 
 # A damaged or hostile database can keep a query busy for ever; an honest row takes less than 200 steps.
 _STEPS_PER_BYTE = 100
 _STEPS_PER_TURN = 10_000
 _ROWS, _BYTES = 4096, 4 << 20  # that are read at a time
-# A longer message is read as an empty one, which is refused where it is decoded: it could fill the memory.
-_MAX_READ = 32 << 20
 _HEADS = 1 << 16  # rows whose times are looked through at a time
 _DAMAGE = (sqlite3.Error, TypeError, ValueError, OverflowError)
 _COUNT = """
@@ -82,12 +80,12 @@ class SqliteFile:
 
         Where the recorder's clock was set back, messages of after it come behind those of before. Of all
         topics those above `LARGE` are given without their content, where Python can read that bit by bit
-        (3.11 and later).
+        (3.11 and later). Of some topics those above `MAX_READ` are `too_long`, which no decoder takes.
         """
         which, content, read, order = "true", "CAST(data AS BLOB)", 0, "id"
         if numbers is not None:
             which, order = f"topic_id IN ({','.join(map(str, numbers))})", "timestamp, id"
-            content = f"CASE WHEN LENGTH(data) <= {_MAX_READ} THEN {content} ELSE x'' END"
+            content = f"CASE WHEN LENGTH(data) <= {MAX_READ} THEN {content} ELSE LENGTH(data) END"
         elif hasattr(sqlite3.Connection, "blobopen"):
             content = f"CASE WHEN LENGTH(data) <= {LARGE} THEN {content} END"
         query = f"SELECT topic_id, timestamp, {content}, id FROM messages WHERE {which} {{}} ORDER BY {order}"
@@ -106,7 +104,8 @@ class SqliteFile:
     def _some(self, cursor: sqlite3.Cursor) -> Iterator[Block]:
         """The rows of a query, not too many at once and no more than a few megabytes; a long one alone."""
         rows, size = list[tuple[int, int, bytes]](), 0
-        for number, time, content, row in cursor:
+        for number, time, found, row in cursor:
+            content = too_long(found) if isinstance(found, int) else found
             if content is not None:
                 rows.append((number, time, content))
                 size += len(content)

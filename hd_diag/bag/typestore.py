@@ -84,7 +84,12 @@ def _is_bounded(desc: Any) -> bool:
 
 
 def standard_joint_state(data: Any, store: Typestore) -> memoryview:
-    """A JointState message as ROS 2 Jazzy has it, from one of another definition; empty where damaged."""
+    """A JointState message as ROS 2 Jazzy has it, from one of another definition; empty where damaged.
+
+    What cannot be CDR stays: why is told where it is decoded.
+    """
+    if len(data) and data[0]:
+        return memoryview(bytes(data))
     try:
         message = deserialize(store, data, JOINT_STATE)
         stamp, arrays = message.header.stamp, (message.position, message.velocity, message.effort)

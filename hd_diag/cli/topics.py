@@ -94,13 +94,7 @@ def _command(path: Path, found: TableColumns, mapping: dict[str, Any]) -> str:
 
 def _of_bag(bag: Path, urdf: Path | None, joints: Sequence[JointConfig]) -> dict[str, Any]:
     with BagReader(bag) as reader:
-        seen = []
-        for topic in reader.topics:
-            try:
-                found = contents(reader, topic)
-            except Exception as error:  # rosbags raises several kinds on hostile definitions and data
-                found = Contents([], str(error), {})
-            seen.append((topic, found))
+        seen = list(zip(reader.topics, contents(reader, reader.topics), strict=True))
         seen += [(topic, Contents([], topic.content, {})) for topic in reader.foreign]
         result = _result(str(reader.path), reader.duration, reader.problems, seen)
         _describe(result, *_described(reader, urdf), joints)

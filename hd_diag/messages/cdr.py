@@ -12,6 +12,7 @@ from rosbags.typesys.store import Typestore
 
 from hd_diag.arrays import Bytes, Integers
 from hd_diag.messages.field_path import DTYPES, TEXT, Path, holds_texts, is_array
+from hd_diag.messages.schemas import check_begin
 
 _SIZES = {name: int(code[1]) for name, code in DTYPES.items()}
 
@@ -24,8 +25,7 @@ class Walk:
     """
 
     def __init__(self, data: bytes, store: Typestore) -> None:
-        if len(data) < 4 or data[0] != 0 or data[1] > 1:
-            raise ValueError("is not a CDR message")
+        check_begin(data)
         self.data, self._store = data, store
         self._uint32 = struct.Struct("<I" if data[1] else ">I").unpack_from
         self.fixed: list[tuple[int, int]] = []

@@ -62,9 +62,9 @@ def layout_of(data: bytes) -> Layout:
     ValueError
         Where it is malformed; the message says how.
     """
+    walk = Walk(data, jazzy())
     if len(data) < 16:
         raise ValueError("is not a CDR message")
-    walk = Walk(data, jazzy())
     fields, _ = walk.message(JOINT_STATE, 4)  # what follows is padding, as of rclpy: readers ignore it
     frame_id, _ = _text(walk, _FRAME)
     _, count, begin = walk.elements(*fields["name"])

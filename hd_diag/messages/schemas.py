@@ -9,6 +9,10 @@ from typing import Any
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
+MAX_READ = 32 << 20
+"""Longest message of a database that is read where it is to be understood [byte]."""
+_TOO_LONG = b"\xfftoo long"  # no CDR begins so
+
 
 @dataclass(frozen=True)
 class Definition:
@@ -52,6 +56,20 @@ def serialize(message: Any, type_name: str) -> bytes:
     return bytes(jazzy().serialize_cdr(message, type_name))
 
 
+def too_long(size: int) -> bytes:
+    """What stands for a message of so many bytes that was not read: it could fill the memory."""
+    return _TOO_LONG + size.to_bytes(8, "little")
+
+
+def check_begin(data: bytes | memoryview) -> None:
+    """Raise ValueError where a message cannot be CDR, or was too long to be read."""
+    if len(data) == len(_TOO_LONG) + 8 and data[: len(_TOO_LONG)] == _TOO_LONG:
+        size = int.from_bytes(data[len(_TOO_LONG) :], "little")
+        raise ValueError(f"has {size} bytes, more than the {MAX_READ} that are read of a message")
+    if len(data) < 4 or data[0] != 0 or data[1] > 1:
+        raise ValueError("is not a CDR message")
+
+
 def deserialize(store: Typestore, data: bytes | memoryview, type_name: str) -> Any:
     """Message object from CDR; bytes behind its last field are ignored, as DDS does.
 
@@ -60,8 +78,7 @@ def deserialize(store: Typestore, data: bytes | memoryview, type_name: str) -> A
     ValueError
         Where the message is malformed.
     """
-    if len(data) < 4 or data[0] != 0 or data[1] > 1:
-        raise ValueError("is not a CDR message")
+    check_begin(data)
     known = store.get_msgdef(type_name)
     decode = known.deserialize_cdr_le if data[1] else known.deserialize_cdr_be
     try:

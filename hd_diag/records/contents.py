@@ -6,8 +6,7 @@ import dataclasses
 import itertools
 import re
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +16,7 @@ from rosbags.typesys.store import Typestore
 from hd_diag.arrays import Floats, Times
 from hd_diag.bag.block import Topic
 from hd_diag.bag.errors import BagError
-from hd_diag.bag.reader import BagReader
+from hd_diag.bag.reader import BagReader, Batch
 from hd_diag.messages.field_path import DTYPES, TEXT, holds_texts, is_array
 from hd_diag.messages.fields import FieldReader
 from hd_diag.messages.joint_states import Rejection
@@ -27,6 +26,7 @@ from hd_diag.streams.rules import CLOCK_JUMP, PAIRING_GAP
 from hd_diag.streams.signals import Signal, Unit, unit
 
 _MOST_MESSAGES = 50_000  # of a topic that are looked at: its first minute at 1 kHz
+_MOST_ALONE = 64  # topics that are read one by one where all at once cannot be
 _MOST_ELEMENTS, _MOST_NUMBERS = 64, 500  # of an array, of a message
 _SKIPPED = ("std_msgs/msg/Header", "builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 _PLAIN = re.compile(r"[^\[\]{}\x00-\x1f\x7f]+")
@@ -112,32 +112,118 @@ class Contents(NamedTuple):
     stamps: dict[tuple[str, ...], Floats]
 
 
-def contents(reader: BagReader, topic: Topic) -> Contents:
-    """Numbers of a topic that may be a joint's, of all its publishers; BagError for an unknown type."""
-    fields = _fields(reader, topic)
-    if not fields:
-        return Contents([], "", {})
-    signals = {f: Signal(topic.name, topic.type_name, f, "", Unit(1.0)) for f in fields}
-    source = FieldReader(reader.given_types(topic), topic.type_name, signals)
-    found: dict[str, list[_Part]] = {f: [] for f in fields}
-    stamps: dict[tuple[str, ...], list[Floats]] = {}
-    seen, unstamped, refused = 0, 0, list[Rejection]()
-    for batch in _batches(reader, topic):
-        rows = slice(0, _MOST_MESSAGES - seen)
-        seen += len(batch)
-        shapes, rejected = source.columns(batch.payload[rows], batch.log_time[rows])
-        refused += rejected
+def contents(reader: BagReader, topics: Sequence[Topic]) -> list[Contents]:
+    """What each of the topics holds that may be a joint's, of all its publishers, by two passes over the bag.
+
+    One whose type is unknown has that for its problem. Where a pass fails, for a part of the bag is damaged
+    or cannot be sorted, each of a few topics is read alone: one may be whole where another is not.
+    """
+    found = [_Found(reader, topic) for topic in topics]
+    try:
+        for step in (_Found.learn, _Found.add):
+            _pass(reader, found, step)
+    except Exception as error:  # rosbags raises several kinds on hostile definitions and data
+        if 1 < len(topics) <= _MOST_ALONE:
+            return [each for topic in topics for each in contents(reader, [topic])]
+        return [Contents([], each.problem or str(error), {}) for each in found]
+    return [each.contents() for each in found]
+
+
+def _pass(reader: BagReader, found: Sequence[_Found], step: Callable[[_Found, Batch], None]) -> None:
+    """Hand each topic its messages, up to :data:`_MOST_MESSAGES` and what comes with the last."""
+    wanted, seen = {id(each.topic): each for each in found if each.is_read}, Counter[int]()
+    for batch in (
+        reader.batches({each.topic.name for each in wanted.values()}, grouped=True) if wanted else ()
+    ):
+        each = wanted.get(id(batch.topic))
+        if each is not None and seen[id(batch.topic)] < _MOST_MESSAGES:
+            seen[id(batch.topic)] += len(batch)
+            each.take(step, batch)
+
+
+class _Found:
+    """What is found of a topic: first the paths of its numbers, then these as columns.
+
+    `problem` is an error that ended it.
+    """
+
+    def __init__(self, reader: BagReader, topic: Topic) -> None:
+        self.topic, self.problem = topic, ""
+        self._reader, self._fields, self._tried = reader, dict[str, str](), 0
+        self._why = "there is none"
+        self._source: FieldReader | None = None
+        self._parts: dict[str, list[_Part]] = {}
+        self._stamps: dict[tuple[str, ...], list[Floats]] = {}
+        self._seen, self._unstamped, self._refused = 0, 0, list[Rejection]()
+        self._is_own = topic.name.endswith(OWN_OUTPUTS)
+        if self.is_read:
+            try:
+                self._store = reader.given_types(topic)
+            except BagError as error:
+                self.problem = str(error)
+
+    @property
+    def is_read(self) -> bool:
+        """Whether its messages are looked at."""
+        return not self._is_own and self.topic.count > 0 and not self.problem
+
+    def take(self, step: Callable[[_Found, Batch], None], batch: Batch) -> None:
+        """Do a step with messages; what is wrong with them ends this topic alone."""
+        try:
+            if not self.problem:
+                step(self, batch)
+        except Exception as error:  # rosbags raises several kinds on hostile definitions and data
+            self.problem = str(error)
+
+    def learn(self, batch: Batch) -> None:
+        """Add the paths of numbers with their types, of all kinds of messages that can be read."""
+        for data in (
+            _unlike(batch) if self._tried < _MOST_TRIED and len(self._fields) <= _MOST_NUMBERS else ()
+        ):
+            try:
+                message = deserialize(self._store, data, self.topic.type_name)
+                self._fields |= _leaves(self._store, self.topic.type_name, message)
+                self._tried += 1
+            except ValueError as error:
+                self._why = str(error)
+            if len(self._fields) > _MOST_NUMBERS:
+                break
+
+    def add(self, batch: Batch) -> None:
+        """Add the numbers of messages."""
+        if not 0 < len(self._fields) <= _MOST_NUMBERS:
+            return
+        if self._source is None:
+            name, kind = self.topic.name, self.topic.type_name
+            signals = {f: Signal(name, kind, f, "", Unit(1.0)) for f in self._fields}
+            self._source, self._parts = FieldReader(self._store, kind, signals), {f: [] for f in signals}
+        rows = slice(0, _MOST_MESSAGES - self._seen)
+        self._seen += len(batch)
+        shapes, rejected = self._source.columns(batch.payload[rows], batch.log_time[rows])
+        self._refused += rejected
         for states in shapes:
-            unstamped += states.stamp.size * states.unstamped
+            self._unstamped += states.stamp.size * states.unstamped
             joints = tuple(dict.fromkeys(filter(None, map(_tag, states.keys))))
-            stamps.setdefault(joints, []).append((states.stamp - reader.start) * 1e-9)
+            self._stamps.setdefault(joints, []).append((states.stamp - self._reader.start) * 1e-9)
+            logged = batch.log_time[rows][states.row]
             for i, key in enumerate(states.keys):
                 assert states.signals is not None
-                logged = batch.log_time[rows][states.row]
-                found[key].append((states.stamp, logged, states.signals[:, i]))
-    every = [_number(topic, f, fields[f], parts, reader.start) for f, parts in found.items() if parts]
-    problem = _problem(seen, unstamped, refused, every)
-    return Contents(every, problem, {joints: np.concatenate(parts) for joints, parts in stamps.items()})
+                self._parts[key].append((states.stamp, logged, states.signals[:, i]))
+
+    def contents(self) -> Contents:
+        """Numbers, problem and stamps."""
+        if self.is_read and not self._tried:
+            what = f"{self.topic.name}: no message can be read; the last {self._why}"
+            self.problem = str(BagError(self._reader.path, what))
+        if self.problem:
+            return Contents([], self.problem, {})
+        topic, start = self.topic, self._reader.start
+        every = [
+            _number(topic, f, self._fields[f], parts, start) for f, parts in self._parts.items() if parts
+        ]
+        problem = _problem(self._seen, self._unstamped, self._refused, every)
+        stamps = {joints: np.concatenate(parts) for joints, parts in self._stamps.items()}
+        return Contents(every, problem, stamps)
 
 
 def _problem(seen: int, unstamped: int, refused: list[Rejection], every: list[NumericField]) -> str:
@@ -152,18 +238,13 @@ def _problem(seen: int, unstamped: int, refused: list[Rejection], every: list[Nu
     return "; ".join(said)
 
 
-def _batches(reader: BagReader, topic: Topic) -> Iterator[Any]:
-    """Messages of a topic, up to :data:`_MOST_MESSAGES` and what comes with the last."""
-    seen = 0
-    for batch in reader.batches([topic.name], grouped=True):
-        if batch.topic is topic and seen < _MOST_MESSAGES:
-            seen += len(batch)
-            yield batch
-
-
 def pairs(angles: list[NumericField]) -> list[AnglePair]:
     """Inputs with their outputs: they turn in proportion, by a gear's ratio or as two encoders of a side."""
-    usable = [n for n in angles if n.kind == "angle" and n.moves and not _COMMANDED.search(n.field)]
+    usable = [
+        n
+        for n in angles
+        if n.kind == "angle" and n.values.size > 2 and n.moves and not _COMMANDED.search(n.field)
+    ]
     found: dict[int, list[AnglePair]] = {}
     for one, other in itertools.permutations(usable, 2):
         if not _pairable(one, other) or (slope := _slope(one, other)) is None:
@@ -184,25 +265,6 @@ def beside(every: list[NumericField], output: NumericField, *kinds: str) -> Nume
     return min(
         own, key=lambda n: (not n.moves, n.topic is not output.topic, kinds.index(n.kind)), default=None
     )
-
-
-def _fields(reader: BagReader, topic: Topic) -> dict[str, str]:
-    """Paths of a topic's numbers with their types, of all kinds of its messages that can be read."""
-    if topic.name.endswith(OWN_OUTPUTS) or topic.count < 2:  # of one message nothing moves
-        return {}
-    store, found, tried = reader.given_types(topic), dict[str, str](), 0
-    for batch in _batches(reader, topic):
-        for data in _unlike(batch):
-            with suppress(ValueError):
-                found |= _leaves(store, topic.type_name, deserialize(store, data, topic.type_name))
-                tried += 1
-            if len(found) > _MOST_NUMBERS:
-                return {}
-        if tried >= _MOST_TRIED:
-            break
-    if not tried:
-        raise BagError(reader.path, f"{topic.name}: no message can be read")
-    return found
 
 
 def _unlike(batch: Any) -> Iterator[bytes]:

@@ -23,6 +23,7 @@ from hd_diag.cli import options
 from hd_diag.cli.lines import discard_output, tell
 from hd_diag.cli.targets import Problem
 from hd_diag.cli.verbs import bags, drives, records, ros
+from hd_diag.memory import is_memory
 from hd_diag.ros.stop_signals import signalled
 
 FAULT = "an error of hd-diag itself"
@@ -86,13 +87,13 @@ def _outcome(error: Exception) -> tuple[int, str]:
         return error.exit_code, " ".join(error.format_message().split())
     if isinstance(error, ModuleNotFoundError) and error.name and not error.name.startswith("hd_diag"):
         return 2, f"{error}: python3 -m pip install {error.name}"  # numba, which rosdep cannot install
+    if is_memory(error):
+        return 2, "there is not enough memory"
     if os.environ.get(_TRACEBACK):
         raise error
     if isinstance(error, OSError):
         name = "" if error.filename is None else f"{str(error.filename)[:_LONGEST_NAME]}: "
         return 2, f"{name}{error.strerror or error}"
-    if isinstance(error, MemoryError):
-        return 2, "there is not enough memory"
     frames = traceback.extract_tb(error.__traceback__)
     place = next(f for f in reversed(frames) if "hd_diag" in f.filename)
     text = f"{type(error).__name__}: {error}".rstrip(": ").partition("\n")[0]
@@ -135,8 +136,6 @@ for found in (completion, *(each for room in (bags, drives, records, ros) for ea
 
 def main() -> None:
     """Entry point of the ``hd-diag`` command."""
-    # Matrices are small: more threads only wait for each other.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if "_HD_DIAG_COMPLETE" in os.environ:
         import_module("hd_diag.cli.completion")  # how bash asks
     cli()
