@@ -3,12 +3,11 @@
 import atexit
 import gc
 import os
-import resource
 import sys
 
-atexit.register(gc.freeze)  # at the end nobody looks through all objects once more, which takes 0.25 s
+from hd_diag.memory import watch_limit
 
-_LEAST = 250_000 << 10  # address space [byte]: below it a library ends the process with words of its own
+atexit.register(gc.freeze)  # at the end nobody looks through all objects once more, which takes 0.25 s
 
 
 def _open_streams() -> None:
@@ -19,20 +18,11 @@ def _open_streams() -> None:
             setattr(sys, name, open(number, "w" if number else "r", closefd=False))  # noqa: SIM115
 
 
-def _check_memory() -> None:
-    """Refuse a limit of memory under which a library would end the process with words of its own."""
-    if 0 <= (limit := resource.getrlimit(resource.RLIMIT_AS)[0]) < _LEAST:
-        told = f"hd-diag: there is not enough memory: ulimit -v is {limit >> 10} kB, below {_LEAST >> 10} kB"
-        print(told, file=sys.stderr)  # noqa: T201
-        sys.exit(2)
-
-
 def main() -> None:
     """Entry point of the ``hd-diag`` command."""
     _open_streams()
-    _check_memory()
-    # Matrices are small: more threads only wait for each other, and each takes room of its own.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    if sys.argv[1:2] != ["node"]:  # ROS writes its log past Python
+        watch_limit()
     gc.disable()  # until a verb works: imports leave no garbage, and looking for it is a sixth of a start
     try:
         from hd_diag.ros.stop_signals import raise_signals
@@ -54,7 +44,6 @@ def main() -> None:
 def node() -> None:
     """Entry point of the ``hd_diag_node`` executable."""
     _open_streams()
-    _check_memory()
     from hd_diag.ros.stop_signals import note_signals
 
     stopped = note_signals()

@@ -113,8 +113,12 @@ def visible(text: str, longest: int | None = None) -> str:
     Text from a file may be hostile; it is cut off after the `longest` number of characters.
     """
     part = text if longest is None else text[: longest + 1]
-    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in part)
+    shown = part if part.isprintable() else "".join(map(_spelled, part))
     return shown if longest is None or len(shown) <= longest else f"{shown[: longest - 1]}…"
+
+
+def _spelled(c: str) -> str:
+    return c if c.isprintable() else c.encode("unicode_escape").decode("ascii")
 
 
 def json_ready(value: Any) -> Any:

@@ -1,19 +1,26 @@
-"""Memory that a process needed for a while, given back."""
+"""Memory that a process needed for a while, given back; what a lack of it looks like."""
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import ctypes
 import errno
 import gc
+import os
 import re
+import resource
+import signal
+import sys
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 
 _DONT_NEED = 4  # MADV_DONTNEED
 _MMAP_THRESHOLD, _LARGE = -3, 1 << 15  # M_MMAP_THRESHOLD [byte]
 _LLVM = re.compile(r"^(\w+)-(\w+) r-.p .*libllvmlite\.so\n(?:[A-Z]\w+:.*\n)*?Anonymous: +0 kB$", re.MULTILINE)
 
+_LEAST = 250_000 << 10  # address space [byte] that OpenBLAS needs twice, numpy's and scipy's
 # What the loader of libraries, LLVM and a thread's start say.
 _NO_ROOM = "cannot allocate memory", "failed to map segment", "can't start new thread", "out of memory"
 
@@ -50,3 +57,45 @@ def is_memory(error: BaseException) -> bool:
         if (cause := error.__cause__ or error.__context__) is None:
             return False
         error = cause
+
+
+def watch_limit() -> None:
+    """Go on in a process of its own under ``ulimit -v``; end with 2 where it is too low.
+
+    Libraries then end a process in their own ways: OpenBLAS by ``exit(1)``, the loader by 127, LLVM by an
+    abort, each with words of its own on descriptor 2, which that process does without. OpenBLAS asks for
+    room without end where little is left: it is loaded first.
+    """
+    if (limit := resource.getrlimit(resource.RLIMIT_AS)[0]) < 0:
+        return
+    if limit < _LEAST:
+        sys.exit(_too_little(limit))
+    watched = {signal.SIGCHLD, signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
+    signal.pthread_sigmask(signal.SIG_BLOCK, watched)
+    seen, told = os.pipe()
+    if child := os.fork():
+        os.close(told)
+        code = _code_of(child, watched)
+        sys.exit(code if code > 128 or os.read(seen, 1) else _too_little(limit))
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, watched)
+    sys.stderr = open(os.dup(2), "w", buffering=1, errors="backslashreplace")  # noqa: SIM115
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+    atexit.register(os.write, told, b".")  # what C ends does not come here
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # each thread takes room of its own
+    with contextlib.suppress(Exception):
+        import_module("scipy.linalg")
+
+
+def _code_of(child: int, watched: set[signal.Signals]) -> int:
+    """Exit code of a process, to which signals are passed on."""
+    while (came := signal.sigwaitinfo(watched)).si_signo != signal.SIGCHLD:
+        if came.si_code <= 0:  # of a process; a terminal's comes to both
+            os.kill(child, came.si_signo)
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    return 128 - code if -code in (signal.SIGKILL, signal.SIGINT, signal.SIGTERM, signal.SIGHUP) else code
+
+
+def _too_little(limit: int) -> int:
+    told = f"hd-diag: there is not enough memory: ulimit -v is {limit >> 10} kB"
+    print(told, file=sys.stderr)  # noqa: T201
+    return 2

@@ -10,6 +10,7 @@ import resource
 import signal
 import threading
 import time
+import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -192,6 +193,7 @@ def _one_thread() -> Iterator[None]:
 def _begin(memory: int) -> None:
     """Set up a process: Ctrl-C is left to the parent, and the process ends when its parent ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    warnings.simplefilter("ignore", RuntimeWarning)  # numpy's, of nan
     threading.Thread(target=_follow_parent, daemon=True).start()
     if memory:
         resource.setrlimit(resource.RLIMIT_DATA, (memory, resource.getrlimit(resource.RLIMIT_DATA)[1]))

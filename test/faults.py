@@ -344,6 +344,16 @@ a count of the file's own that is far too large | verbs on bags | told; takes no
     test_incomplete.py::test_a_count_is_but_a_hint
 a bit of the summary flipped | verbs on bags | told; the chunks are read
     test_bag_recover.py::test_a_damaged_summary_is_told
+a row or a message too long to be read | verbs on bags | left out; told with its size
+    test_bag_foreign.py::test_a_row_that_was_too_long_is_told_with_its_size
+a limit of the memory (ulimit -v) that does not suffice | verbs | code 2, one line
+    test_memory.py::test_a_library_that_ends_a_process_for_a_lack_of_memory_is_told_in_one_line
+counts of an encoder for an angle | diagnose | code 2; tells the bits and what to write
+    test_record.py::test_counts_of_an_encoder_are_left_to_a_finding
+a pipe for a table | diagnose, report, ripple, topics | code 2 at once
+    test_text_table.py::test_a_pipe_is_refused_at_once
+a time in ms, us or ns that is read as seconds | diagnose, ripple | code 2; asks for its unit
+    test_text_table.py::test_a_time_in_another_unit_is_asked_about
 both angles in degrees | diagnose | code 2; says so first
     test_signal_findings.py::test_both_angles_in_degrees
 a torque that is zero, nan or a placeholder throughout | verbs on records | told; counts as not measured

@@ -252,3 +252,12 @@ def test_a_message_that_cannot_be_read_ends_its_topic_alone(tmp_path: Path) -> N
     good, odd = json.loads((tmp_path / "t.json").read_text())["topics"]
     assert (good["problem"], good["numbers"][0]["first"]) == ("", 3.0)
     assert "no message can be read; the last " in odd["problem"]
+
+
+def test_numbers_that_no_joint_can_have_are_none(tmp_path: Path) -> None:
+    """Columns of a table with infinities and numbers near the largest: nothing but the answer is said."""
+    rows = [f"{0.01 * k},{k},{0.01 * k},{('inf', '-inf', '1e308', '-1e308')[k % 4]}" for k in range(300)]
+    (tmp_path / "a.csv").write_text("\n".join(["t,x,y,q", *rows]))
+    result = hd_diag("topics", tmp_path / "a.csv")
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert "time=t,input=x,output=y" in result.stdout

@@ -2,6 +2,7 @@
 
 import errno
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -166,9 +167,38 @@ def test_a_lack_of_memory_is_known_in_all_its_forms(error: Exception, is_so: boo
     assert (is_memory(error), is_memory(wrapped)) == (is_so, is_so)
 
 
-def test_a_limit_under_which_a_library_would_end_the_process_is_refused_first() -> None:
-    """OpenBLAS leaves with 1 and three lines."""
-    code = "ulimit -v 150000; exec " + f"{sys.executable} -m hd_diag topics x.mcap"
-    run = subprocess.run(["bash", "-c", code], capture_output=True, text=True, check=False)
-    assert (run.returncode, run.stdout) == (2, "")
-    assert run.stderr == ("hd-diag: there is not enough memory: ulimit -v is 150000 kB, below 250000 kB\n")
+@pytest.mark.parametrize("ended", ["os._exit(1)", "os._exit(127)", "os.abort()"])
+def test_a_library_that_ends_a_process_for_a_lack_of_memory_is_told_in_one_line(ended: str) -> None:
+    """Its own words are not shown: OpenBLAS leaves with 1 and three lines, the loader with 127."""
+    code = f"from hd_diag.memory import watch_limit; import os; watch_limit(); os.write(2, b'words'); {ended}"
+    assert limited(20_000_000, "-c", code) == (
+        2,
+        "",
+        "hd-diag: there is not enough memory: ulimit -v is 20000000 kB\n",
+    )
+
+
+def test_what_ends_of_itself_below_a_limit_ends_as_without() -> None:
+    start = "from hd_diag.memory import watch_limit; import os, sys, signal; watch_limit()"
+    assert limited(20_000_000, "-c", f"{start}; print(1); sys.exit('no')") == (1, "1\n", "no\n")
+    killed = f"{start}; os.kill(os.getppid(), signal.SIGTERM); signal.pause()"
+    assert limited(20_000_000, "-c", killed) == (128 + signal.SIGTERM, "", "")
+
+
+@pytest.mark.parametrize("limit", [60_000, 150_000, 300_000, 400_000])
+def test_a_limit_of_memory_ends_in_a_result_or_one_line(limit: int, tmp_path: Path) -> None:
+    """Address space [kB], too small for OpenBLAS, for numba, for what is read."""
+    file = tmp_path / "a.csv"
+    file.write_text("t,x,y\n" + "".join(f"{0.01 * k},{k % 700},{k % 700 / 100}\n" for k in range(9000)))
+    code, shown, said = limited(limit, "-m", "hd_diag", "topics", str(file))
+    assert (code, "not enough memory" in said, said.count("\n")) in ((2, True, 1), (0, False, 0)), said
+    assert (code == 0) == bool(shown)
+
+
+def limited(limit: int, *words: str) -> tuple[int, str, str]:
+    """Outcome of Python in a limited address space [kB]."""
+    code = f'ulimit -v {limit}; exec "$0" "$@"'
+    run = subprocess.run(
+        ["bash", "-c", code, sys.executable, *words], capture_output=True, text=True, check=False
+    )
+    return run.returncode, run.stdout, run.stderr

@@ -276,3 +276,17 @@ def test_an_input_faster_than_any_drive_is_refused_before_anything_is_spread_ove
     else:
         with pytest.raises(RecordError, match="rad/s in the mean, and no drive's faster than 10000 rad/s"):
             prepared(given)
+
+
+@pytest.mark.parametrize("bits", [10, 16, 24])
+def test_counts_of_an_encoder_are_left_to_a_finding(given: dict[str, np.ndarray], bits: int) -> None:
+    """However fast they make the input; those of no encoder are refused before anything is spread out."""
+    counted = prepared(given | {"input": np.round(given["input"] * 2.0**bits / TURN)})
+    found = screened(counted, joint().drive).findings[0]
+    assert found.fatal
+    assert f"the input angle is in counts of {bits} bits a turn" in found.text
+
+
+def test_more_counts_than_any_encoder_has_are_refused(given: dict[str, np.ndarray]) -> None:
+    with pytest.raises(RecordError, match="no drive's faster than 10000 rad/s"):
+        prepared(given | {"input": given["input"] * 2.0**30 / TURN})

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import functools
 import gc
+import sys
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -71,7 +73,10 @@ def verb(example: str, module: str = "", **settings: Any) -> Callable[[Callable[
             function = getattr(import_module(f"hd_diag.cli.{module or name}"), name)
             gc.enable()
             try:
-                return function(**given)
+                with warnings.catch_warnings():
+                    if not sys.warnoptions:  # numpy's say nothing to users: nan is told by what it is for
+                        warnings.simplefilter("ignore", RuntimeWarning)
+                    return function(**given)
             except ValueError as error:
                 raise _problem(error, "overwrite" in given) from error
 

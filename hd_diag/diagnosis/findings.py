@@ -10,7 +10,7 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.blocks import blocks
 from hd_diag.diagnosis.noise import bounds
-from hd_diag.diagnosis.record import Record
+from hd_diag.diagnosis.record import Record, encoder_bits
 from hd_diag.diagnosis.regression import centered
 
 _FOLLOWS = 0.3  # of the output's travel, that it may be off at most
@@ -28,7 +28,6 @@ _STEP, _WIDTH = 0.25, 15  # of a tooth pitch, over so many rows
 _WHOLE = 0.05  # of a tooth pitch, by which a step of whole teeth may be misread
 _MOST_STEPS = 20  # after which no more are looked for
 _DEGREES = math.degrees(1.0)
-_BITS = range(10, 25)  # of encoders
 
 
 @dataclass(frozen=True)
@@ -89,12 +88,10 @@ def _unit_of(found: float, configured: float) -> str:
     for value, name in ((_DEGREES, "input"), (1.0 / _DEGREES, "output")):
         if abs(factor / value - 1.0) < 0.02:
             return f"the {name} angle is in degrees: {declared(name, 'deg')}"
-    for bits in _BITS:
-        counts = 2.0**bits / (2.0 * math.pi)
-        for value, name in ((counts, "input"), (1.0 / counts, "output")):
-            if abs(factor / value - 1.0) < 0.01:
-                unit = declared(name, f"counts/{2**bits}")
-                return f"the {name} angle is in counts of {bits} bits a turn: {unit}"
+    for times, name in ((factor, "input"), (1.0 / max(factor, 1e-300), "output")):
+        if bits := encoder_bits(times):
+            unit = declared(name, f"counts/{2**bits}")
+            return f"the {name} angle is in counts of {bits} bits a turn: {unit}"
     return ""
 
 

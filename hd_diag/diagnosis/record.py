@@ -30,6 +30,8 @@ _ROUNDING = 1e-12  # of the largest angle, within which it is constant
 _PAUSE = 0.2  # rest that ends a run [s]
 _SLOW = 0.02  # of the top speed, within which friction turns [-]
 _REST_SPEED = 0.02  # of the record's 95th percentile of speed, below which the joint rests [-]
+_BITS = range(10, 25)  # of encoders
+_COUNTS_MISS = 0.01  # by which a ratio may miss that of counts
 GAP_STEPS = 5.5
 """A step this many times the usual one is a gap: state and filters restart."""
 
@@ -218,7 +220,8 @@ def prepare(
     columns = _kept(columns, keep)
     _check_whole(columns["segment"])
     _check_motion(columns["input_angle"], columns["output_angle"], ratio)
-    if not _in_counts(columns["input_angle"], columns["output_angle"], ratio):
+    turned, followed = (float(np.ptp(columns[name])) for name in ("input_angle", "output_angle"))
+    if not encoder_bits(turned / max(abs(ratio) * followed, 1e-300)):  # a finding tells these better
         check_speed(columns["time"], columns["input_angle"], columns["segment"])
     time, load, heat, segment = (columns.pop(n) for n in ("time", "torque", "temperature", "segment"))
     step = usual_step(time)
@@ -273,14 +276,11 @@ def _check_motion(angle: Floats, output: Floats, ratio: float) -> None:
         raise RecordError(f"no motion: the output angle is {output[0]:.6g} rad throughout")
 
 
-def _in_counts(angle: Floats, output: Floats, ratio: float) -> bool:
-    """Whether the input (n,) is as many times too fast for the output (n,) as counts of some bits a turn are.
-
-    A finding tells these better.
-    """
-    times = float(np.ptp(angle)) / max(abs(ratio) * float(np.ptp(output)), 1e-300)
-    bits = math.log2(max(2.0 * math.pi * times, 1.0))
-    return bits > 9.5 and abs(bits - round(bits)) < 0.02
+def encoder_bits(times: float) -> int:
+    """Bits of the encoder whose counts make an angle so many times too large; 0 where those of none do."""
+    counts = 2.0 * math.pi * times
+    near = [bits for bits in _BITS if abs(counts / 2.0**bits - 1.0) < _COUNTS_MISS]
+    return near[0] if near else 0
 
 
 def check_speed(time: Floats, angle: Floats, segment: Integers) -> None:

@@ -24,6 +24,7 @@ from hd_diag.streams.signals import unit
 
 _MOST_ROWS = 50_000  # that are looked at
 _TIME = re.compile(r"(?<![a-z])(t|time|times|zeit|secs?|seconds?)(?![a-z])|stamp|time")
+_LARGEST = 1e300  # beyond it differences of numbers are none
 _RECORD = re.compile(r"record(ing)?|run|trial|bag")
 _RISING = 0.9  # share of the steps of a time: files may be one behind the other
 _AMBIGUOUS = set(",=*[]")  # what a name in --columns cannot hold
@@ -69,12 +70,12 @@ def table_columns(path: Path) -> TableColumns:
 
 
 def _values(width: int, rows: list[list[str]]) -> Floats:
-    """Numbers of all columns, (columns, n), nan where there is none."""
+    """Numbers of all columns, (columns, n), nan where there is none that can be of a joint."""
     found = np.full((len(rows), width), np.nan)
     for row, cells in enumerate(rows):
         for column, cell in enumerate(cells[:width]):
             value = quantity(cell)
-            found[row, column] = np.nan if value is None else value
+            found[row, column] = np.nan if value is None or abs(value) > _LARGEST else value
     return found.T
 
 

@@ -136,6 +136,8 @@ for found in (completion, *(each for room in (bags, drives, records, ros) for ea
 
 def main() -> None:
     """Entry point of the ``hd-diag`` command."""
+    # Matrices are small: more threads only wait for each other.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if "_HD_DIAG_COMPLETE" in os.environ:
         import_module("hd_diag.cli.completion")  # how bash asks
     cli()
