@@ -488,6 +488,34 @@ def test_a_mesh_is_swept_into_a_table_and_drawn(tmp_path: Path) -> None:
     assert len(teeth) == 200
     assert "Backlash of both flanks" in figure.read_text(encoding="utf-8")
     assert_one_line_error(hd_diag("mesh", "--sweep", "angle"), "--sweep needs --out or --figure")
+
+
+def test_mesh_takes_a_tilt_and_shows_one_section(tmp_path: Path) -> None:
+    """The same as with the tilt configured, in JSON, table and text."""
+    width = {"face_width": 0.011, "cup_length": 0.04, "sections": 3}
+    leaning = {"tilt__magnitude": 0.8e-3, "tilt__direction": float(np.radians(50.0))}
+    for name in ("plain", "tilted"):
+        (tmp_path / name).mkdir()
+    plain, tilted = (
+        config_file(tmp_path / "plain", **width),
+        config_file(tmp_path / "tilted", **width, **leaning),
+    )
+    words, out = ("--torque", "9", "--json", "-"), tmp_path / "section.csv"
+    given = hd_diag("mesh", "--config", plain, "--tilt-mrad", "0.8", "--direction-deg", "50", *words)
+    expected, found = (
+        json.loads(result.stdout) for result in (hd_diag("mesh", "--config", tilted, *words), given)
+    )
+    assert found["torsion"] == pytest.approx(expected["torsion"], rel=1e-12)
+    assert found["torsion"] != json.loads(hd_diag("mesh", "--config", plain, *words).stdout)["torsion"]
+    result = hd_diag("mesh", "--config", tilted, "--torque", "9", "--section", "3", "--out", out)
+    place = expected["sections"][2]["z"]
+    assert f"Section 3, {place * 1e3:.2f} mm" in result.stdout
+    rows = np.genfromtxt(out, delimiter=",", names=True, deletechars="")
+    np.testing.assert_allclose(rows["load_+_[N]"], expected["sections"][2]["load"]["+"], rtol=1e-6, atol=1e-9)
+    assert_one_line_error(
+        hd_diag("mesh", "--config", plain, "--section", "4"), "--section 4: the drive has 3"
+    )
+    assert_one_line_error(hd_diag("mesh", "--tilt-mrad", "1"), "give face_width and sections")
     assert_one_line_error(hd_diag("mesh", "--eccentricity-um", "900"), "--eccentricity-um", "must add up to")
     assert_one_line_error(hd_diag("mesh", "--eccentricity-um", "nan"), "--eccentricity-um must be a number")
 

@@ -150,6 +150,22 @@ def test_sections_together_bear_the_torque(torque: float) -> None:
     assert_allclose(state.backlash, np.fmin.reduce(state.section_backlash, axis=1))
 
 
+def test_what_coning_presses_as_built_is_no_interference() -> None:
+    """An eccentricity's is, in the plane and beyond what coning does; the overlap is told of either."""
+    turn = np.linspace(0.0, 6.0, 57)
+    rest = mesh_state(wide(0.04), turn, 0.0)
+    assert rest.overlap.min() > 8e-6
+    assert not rest.interference.any()
+    assert mesh_state(wide(0.04, 10e-6), turn, 0.0).interference.any()
+    for e in (0.0, 2e-6, 5e-6):
+        plane, ring = (
+            mesh_state(drives.mesh(eccentricity=(e, 0.0)), turn, 0.0),
+            mesh_state(wide(0.0, e), turn, 0.0),
+        )
+        assert_array_equal(plane.interference, plane.overlap > 0.0)
+        assert_array_equal(ring.interference, plane.interference)
+
+
 def test_a_clearance_anywhere_turns_the_cup_by_its_weight() -> None:
     angle, torque = np.array([0.3]), 20.0
     contact = contacts(ASTRAY, angle)

@@ -33,6 +33,8 @@ def mesh(
     torque: float,
     eccentricity_um: float | None,
     direction_deg: float | None,
+    tilt_mrad: float | None,
+    section: int | None,
     sweep: str | None,
     out: Path | None,
     figure: Path | None,
@@ -48,8 +50,10 @@ def mesh(
     config = configured(config_file)
     found = chosen_joint(config, joint)
     found = replace(found, drive=_eccentric(found.drive, eccentricity_um, direction_deg))
+    found = replace(found, drive=_tilted(found.drive, tilt_mrad, direction_deg))
     result = moment(found, input_angle, torque)
-    table = swept(found.drive, sweep, input_angle, torque) if sweep else _teeth(result)
+    shown = result if section is None else _in_section(result, section)
+    table = swept(found.drive, sweep, input_angle, torque) if sweep else _teeth(shown)
     if out:
         write_columns(out, table)
     if figure:
@@ -59,7 +63,7 @@ def mesh(
         with writing(figure) as place:
             save(table_picture(table), place)
     if write_json(json_file, result) and not sweep:
-        _show(result)
+        _show(shown)
         if page_of(of_joint(config.flat, found.name)):
             tell(f"{ASSUMED_PROFILE.capitalize()}.")
     for file in (out, figure):
@@ -80,6 +84,29 @@ def _eccentric(drive: Drive, size: float | None, direction: float | None) -> Dri
         return replace(drive, mesh=replace(drive.mesh, eccentricity=cmath.rect(radius, angle)))
     except ValueError as error:
         raise Problem(f"--eccentricity-um: {error}") from error
+
+
+def _tilted(drive: Drive, size: float | None, direction: float | None) -> Drive:
+    """The drive with a tilt [mrad] in a direction [°], else in that of the configured one."""
+    if size is None:
+        return drive
+    angle = cmath.phase(drive.mesh.tilt) if direction is None else math.radians(direction)
+    if not math.isfinite(size):
+        raise Problem("--tilt-mrad must be a number")
+    try:
+        return replace(drive, mesh=replace(drive.mesh, tilt=1e-3 * size * cmath.exp(1j * angle)))
+    except ValueError as error:
+        raise Problem(f"--tilt-mrad: {error}") from error
+
+
+def _in_section(result: dict[str, Any], number: int) -> dict[str, Any]:
+    """A moment with backlash and load of one section, counted from the cup's bottom."""
+    sections = result.get("sections", [])
+    if not 1 <= number <= max(len(sections), 1):
+        raise Problem(f"--section {number}: the drive has {max(len(sections), 1)}, counted from the bottom")
+    if not sections:
+        return result
+    return {**result, **sections[number - 1], "pressure_angle": None, "section": number}
 
 
 def swept(drive: Drive, over: str, input_angle: float, torque: float) -> dict[str, Floats]:
@@ -116,6 +143,7 @@ def _teeth(result: dict[str, Any]) -> dict[str, Floats]:
     columns = {
         f"{name} {sign} [{unit}]": np.array(result[name][sign], dtype=np.float64)
         for name, unit in units.items()
+        if result[name]
         for sign in "+-"
     }
     return {"tooth": np.arange(len(result["load"]["+"]), dtype=np.float64), **columns}
@@ -181,6 +209,8 @@ def _show(result: dict[str, Any]) -> None:
         f"interference: {'yes' if result['interference'] else 'no'} "
         f"({'overlap' if overlap > 0.0 else 'clearance'} {scaled(abs(overlap), 1e6)} µm)"
     )
+    if "section" in result:
+        tell(f"Section {result['section']}, {result['z'] * 1e3:.2f} mm from the middle of the teeth:")
     table = number_table("tooth", "backlash +\n[µm]", "-\n[µm]", "load +\n[N]", "-\n[N]")
     for tooth in range(len(result["backlash"]["+"])):
         cells = [result[what][sign][tooth] for what in ("backlash", "load") for sign in "+-"]

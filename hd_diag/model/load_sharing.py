@@ -8,7 +8,7 @@ pitch errors, wear and damage of single teeth do, to first order.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 import numpy.typing as npt
@@ -16,9 +16,11 @@ import numpy.typing as npt
 from hd_diag.arrays import Floats, Integers
 from hd_diag.model import kernel
 from hd_diag.model.contact import FLANKS, Contact
+from hd_diag.model.geometry import Geometry
 from hd_diag.model.mesh import Mesh, contiguous, moments
 from hd_diag.model.threads import MOMENTS, spread
 
+_PHASES, _BEYOND = 16, 1.02  # of a slot pitch, at which the overlap is looked at; what lies between them
 _NONE = 1e-9  # of the stiffness of all flanks: what rounding leaves where none bears [-]
 
 
@@ -44,6 +46,8 @@ class MeshState:
     overlap : ndarray, shape (moments,)
         How far the lobes press against each other at zero torque: circumferential, at the contacts [m];
         negative: the clearance that is left.
+    built : float
+        The same as built, see :func:`built_overlap`.
     """
 
     backlash: Floats
@@ -54,6 +58,7 @@ class MeshState:
     torsion: Floats
     lost_motion: Floats
     overlap: Floats
+    built: float = 0.0
 
     @property
     def loaded_pairs(self) -> Integers:
@@ -78,8 +83,11 @@ class MeshState:
 
     @property
     def interference(self) -> npt.NDArray[np.bool_]:
-        """Whether no rotation of the cup frees all teeth: the lobes press against each other; (moments,)."""
-        return np.asarray(self.overlap > 0.0)
+        """Whether no rotation of the cup frees all teeth: the lobes press against each other; (moments,).
+
+        In a coned cup more than they do as built.
+        """
+        return np.asarray(self.overlap > self.built)
 
 
 def mesh_state(mesh: Mesh, wave_generator_angle: Floats, torque: Floats) -> MeshState:
@@ -100,7 +108,22 @@ def mesh_state(mesh: Mesh, wave_generator_angle: Floats, torque: Floats) -> Mesh
         backlash, pressure_angle = (np.take_along_axis(each, least, 1) for each in (backlash, pressure_angle))
         load = load.sum(axis=1, keepdims=True)
     whole_teeth = backlash[:, 0], load[:, 0], pressure_angle[:, 0]
-    return MeshState(*whole_teeth, *apart, beta, np.maximum(gap, 0.0), -gap * radius)
+    built = built_overlap(geometry)
+    return MeshState(*whole_teeth, *apart, beta, np.maximum(gap, 0.0), -gap * radius, built)
+
+
+def built_overlap(geometry: Geometry) -> float:
+    """By how much coning alone presses the lobes of a cup against each other [m]; of all others zero."""
+    return _of_coning(geometry) if geometry.cup_length and geometry.sections > 1 else 0.0
+
+
+@lru_cache(maxsize=16)
+def _of_coning(geometry: Geometry) -> float:
+    rows = moments(Mesh(geometry), geometry.slot_pitch / _PHASES * np.arange(_PHASES, dtype=np.float64))
+    teeth = np.empty((3, _PHASES, geometry.sections, 2, geometry.flexspline_teeth))
+    _, gap, radius = whole = np.empty((3, _PHASES))
+    kernel.entry.mesh_state(Mesh(geometry).data, *rows, teeth, whole, 0, _PHASES)
+    return max(_BEYOND * float((-gap * radius).max()), 0.0)
 
 
 def flank_stiffness(contact: Contact, tooth_compliance: float) -> Floats:

@@ -15,6 +15,7 @@ from hd_diag.drive import Drive, mesh_state, transmission_error
 from hd_diag.extended_model import Range
 from hd_diag.formatting import visible
 from hd_diag.gears.characteristics import ToothLoads, tooth_loads
+from hd_diag.model.load_sharing import built_overlap
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.monitor.absence import absence, absence_of
 from hd_diag.monitor.joint import Joint, Window
@@ -110,7 +111,7 @@ def status(
         "prediction_error_bound_arcsec": 0.0 if table is None else table.error_bound / ARCSEC,
         **_model_values(joint),
         **mesh,
-        "interference": _truth(loads.overlap > 0.0),
+        "interference": _truth(loads.overlap > built_overlap(drive.mesh.geometry)),
         "overlap_um": loads.overlap * 1e6,
         "idle_tooth_load_N": loads.idle,
         "rated_tooth_load_N": loads.rated,

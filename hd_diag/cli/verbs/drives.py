@@ -110,7 +110,9 @@ def gear() -> None:
 @click.option(
     "--eccentricity-um", type=click.FLOAT, help="Eccentricity [µm], in place of the configured one."
 )
-@click.option("--direction-deg", type=click.FLOAT, help="Its direction in the housing [°].")
+@click.option("--direction-deg", type=click.FLOAT, help="Its direction in the housing, and the tilt's [°].")
+@click.option("--tilt-mrad", type=click.FLOAT, help="Tilt of the wave generator [mrad], likewise.")
+@click.option("--section", type=int, help="Show one section, 1 at the cup's bottom. [default: all together]")
 @click.option(
     "--sweep",
     type=click.Choice(["angle", "torque"]),
@@ -122,6 +124,7 @@ def gear() -> None:
 def mesh() -> None:
     """Show backlash and load of every tooth at one input angle and torque.
 
+    In sections: the least backlash and the whole load of each tooth, or those of one section.
     Torsion and transmission error are shown, too. Torsion and loads are those of a torque M that turns the
     cup counter-clockwise (M > 0 bears on + flanks). The transmission error is the drive's when it exerts M on
     the link, whose reaction on the cup is -M for an output at the flexspline; "as_driven" holds torsion and

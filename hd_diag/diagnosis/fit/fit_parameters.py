@@ -73,7 +73,7 @@ _HALVINGS = 12  # towards the last datum that makes a gear
 _SIGNS = np.array([-1.0, -1.0, -1.0, -1.0, 1.0, 1.0, 1.0, -1.0, -1.0])  # that swapped lobes give
 _OTHER_END = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0, -1.0])
 
-_STEPS_PER_TOOTH, _IN_SECTIONS = 8, 4  # nodes along a record; sections bear one after the other
+_STEPS_PER_TOOTH, _IN_SECTIONS = 8, 3  # nodes along a record; sections bear one after the other
 _NODES_PAY = 1.5  # samples per node from which they do
 
 
@@ -317,7 +317,7 @@ def along(
     Returns
     -------
     error : ndarray, shape (n,)
-        To 0.01 arcsec rms of a gear of ratio 100 with eight `steps` a tooth, in sections four [rad]; these
+        To 0.01 arcsec rms of a gear of ratio 100 with eight `steps` a tooth, in sections three [rad]; these
         are the default.
     jacobian : ndarray, shape (n, p)
         [rad] per unit, see :func:`units`.
