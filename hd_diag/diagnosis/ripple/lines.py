@@ -26,6 +26,7 @@ _CONDITION = 30.0  # of columns that can be told apart
 _LEAST_RUNS = 6  # from which on runs, not windows, are what is independent
 _SAME = 9.0  # deviance that another order may cost and still count as equal to the best
 _LEAST_RECORDS = 3  # that tell a deviation
+_NO_NOISE = 1e-12  # deviation of a part at least [N m]
 _POWER = 2.33  # standard deviations: found with 99 % chance
 _OTHER = 0.01  # chance below which parts differ
 _STEADY = 0.8  # agreement from which phases count as the same all the same: sizes go with speed and load
@@ -130,7 +131,7 @@ def _found(waves: _Waves, columns: list[_Column], column: _Column, threshold: fl
         float(found.p_values[at]),
         bool(found.p_values[at] <= threshold),
         _agreement([one for one, _ in runs]),
-        _same(parts if len(parts) > 1 else runs, value, std),
+        _same(parts if len(parts) > 1 else runs),
         tuple(RecordedLine(abs(one), spread, _phase(one)) for one, spread in parts),
     )
 
@@ -162,13 +163,18 @@ def _scatter(parts: Sequence[tuple[complex, float]]) -> float:
     return float(np.std([one for one, _ in parts]) / np.sqrt(2.0 * (len(parts) - 1)))
 
 
-def _same(parts: Sequence[tuple[complex, float]], value: complex, std: float) -> bool | None:
-    """Whether parts differ from the whole by no more than their deviations and its; None of a single part."""
+def _same(parts: Sequence[tuple[complex, float]]) -> bool | None:
+    """Whether parts differ from their mean by no more than their noise, or agree well; None of a single part.
+
+    Their scatter is what is judged: it is no part of the deviation.
+    """
     if len(parts) < 2:
         return None
-    squares = sum(abs(one - value) ** 2 / (spread**2 + std**2) for one, spread in parts)
+    values, spread = np.array([one for one, _ in parts]), np.array([max(std, _NO_NOISE) for _, std in parts])
+    mean = np.average(values, weights=spread**-2.0)
+    squares = float(np.sum(np.abs((values - mean) / spread) ** 2))
     alike = stats.chi2.sf(squares, 2 * (len(parts) - 1)) > _OTHER
-    return bool(alike or _agreement([one for one, _ in parts]) > _STEADY)
+    return bool(alike or _agreement(list(values)) > _STEADY)
 
 
 def _agreement(values: Sequence[complex]) -> float:
