@@ -261,3 +261,13 @@ def test_numbers_that_no_joint_can_have_are_none(tmp_path: Path) -> None:
     result = hd_diag("topics", tmp_path / "a.csv")
     assert (result.exit_code, result.stderr) == (0, "")
     assert "time=t,input=x,output=y" in result.stdout
+
+
+def test_the_rate_of_a_table_is_that_of_each_of_its_recordings(tmp_path: Path) -> None:
+    """Four of a second at 100 Hz, each with a time from zero."""
+    rows = [f"{0.01 * k},{r},{k},{0.01 * k}" for r in range(4) for k in range(101)]
+    (tmp_path / "a.csv").write_text("\n".join(["t,record,x,y", *rows]))
+    hd_diag("topics", tmp_path / "a.csv", "--json", tmp_path / "a.json")
+    content = json.loads((tmp_path / "a.json").read_text())
+    assert content["duration"] == pytest.approx(4.0)
+    assert content["topics"][0]["rate"] == pytest.approx(100.0, rel=0.01)

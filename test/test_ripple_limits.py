@@ -170,7 +170,7 @@ def test_a_late_torque_is_said_and_its_lines_repeat(delay: float, ways: tuple[fl
 @pytest.mark.parametrize("count", [3, 4, 6])
 @pytest.mark.parametrize("seed", range(6))
 def test_no_delay_makes_phases_repeat_that_do_not(count: int, seed: int) -> None:
-    """Of a few recordings some fall together by chance: a line repeats where its own phases do, and only there.
+    """Of a few recordings some fall together by chance: a line repeats where its own phases do, only there.
 
     A line repeats from a mean phase vector of 0.8 on; the next below is 0.67, far from what noise does to it.
     """

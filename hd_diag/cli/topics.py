@@ -55,6 +55,7 @@ def of_table(path: Path) -> dict[str, Any]:
     except RecordError as error:
         raise Problem(str(error)) from error
     time = found.time[np.isfinite(found.time)]
+    time = np.cumsum(np.maximum(np.diff(time, prepend=time[:1]), 0.0))  # recordings one behind the other
     duration = float(np.ptp(time)) if time.size and found.time_name else 0.0
     content = Contents(found.fields, "", {(): time if found.time_name else time[:0]})
     topic = Topic(str(path), "table", len(found.time))
