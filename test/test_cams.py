@@ -3,10 +3,12 @@
 import functools
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import drives
 import numpy as np
 import pytest
+from cli_runner import config_file, hd_diag
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
@@ -195,3 +197,18 @@ def test_what_is_no_cam(cam: Cam, message: str) -> None:
 def test_a_dent_is_not_convex() -> None:
     with pytest.raises(ValueError, match=r"not convex; its radius of curvature is -0\.003 m at 0 degrees"):
         neutral_curve(R_B, (*[0.0] * 7, 33e-3 / (16**2 - 1)))
+
+
+def test_check_tells_how_far_measured_points_are_off(tmp_path: Path) -> None:
+    """Points of the ellipse, in turn 1 µm further out and in, which no cam's harmonics follow."""
+    angle = 2.0 * np.pi / 72 * np.arange(72)
+    exact = Ellipse(0.0302584, 0.0297404)
+    radius = (
+        exact.semi_major
+        * exact.semi_minor
+        / np.hypot(exact.semi_minor * np.cos(angle), exact.semi_major * np.sin(angle))
+    )
+    radius = radius + 1e-6 * (-1.0) ** np.arange(72)
+    points = np.column_stack((angle, radius)).ravel().tolist()
+    config = config_file(tmp_path, neutral_curve__shape="points", neutral_curve__points=points)
+    assert "off the fitted curve by 1 µm rms" in hd_diag("check", config).stdout

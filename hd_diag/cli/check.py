@@ -13,6 +13,7 @@ from hd_diag.config.configuration import JointConfig
 from hd_diag.formatting import ARCSEC
 from hd_diag.gears.characteristics import Characteristics
 from hd_diag.gears.page import ASSUMED_PROFILE
+from hd_diag.model.cams import Points
 
 
 def check(config_file: str, json_file: str | None) -> None:
@@ -54,8 +55,11 @@ def describe(joint: JointConfig, assessed: Assessment) -> None:
         f"{mesh.geometry.flexspline_teeth}/{mesh.geometry.circular_spline_teeth} teeth, "
         f"rated {drive.rated_torque:g} N m, eccentricity {abs(mesh.eccentricity) * 1e6:g} µm"
     )
-    radius = mesh.geometry.curve.radius
+    radius, cam = mesh.geometry.curve.radius, mesh.geometry.neutral_curve
     tell(f"  module {found.module * 1e3:.4g} mm, radius of the neutral layer {radius * 1e3:.4g} mm")
+    if isinstance(cam, Points):
+        rms, most = (1e6 * each for each in cam.residual)
+        tell(f"  neutral_curve.points are off the fitted curve by {rms:.3g} µm rms, {most:.3g} µm at most")
     for line in gear_file.reached(assessed) if assessed.page else [_stiffness(found)]:
         tell(f"  {line}")
     gap = "overlap" if found.loads.overlap > 0.0 else "clearance"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -34,7 +34,8 @@ _DAMPINGS = 6  # tried before a fit gives up
 _HELD = 1e-6  # prior width of what is not fitted
 _DATUMS = (-6.0, 3.0, 12.0)  # from the configured one, to begin with beside a friction
 _SETTLED = 0.1  # deviance; smaller steps are left to the fit of all rows
-_LEANING = 7.0  # units of tilt, to begin with
+_LEANING, _LEANT = 7.0, 2  # units of tilt, to begin with; points of the first round that are tilted
+_SECTIONS = 3  # of a search, at most
 _NEAR = np.array(
     [1.0, 1.0, 1.0, 1.0, 3.0, 0.5, 0.7, 2.0, 2.0]
 )  # by which parameters of the same drive may differ
@@ -161,7 +162,7 @@ def refit(
         if start is not None and not distinct([start, *points], configured)[1:]:
             break
         if samples == _ROUNDS[0][0]:
-            points = [leaning for point in points for leaning in _leaning(point, configured)]
+            points += [leaning for point in points[:_LEANT] for leaning in _leaning(point, configured)]
     covariance = problem.covariance(trials[0][0])
     own = fit_parameters.count(configured)
     (point, deviance), *others = [(found[:own], value) for found, value in trials]
@@ -223,8 +224,8 @@ def _starts(configured: Drive, start: Floats | None, starts: Starts) -> list[Flo
 
 
 def _leaning(point: Floats, configured: Drive) -> list[Floats]:
-    """A point, and where there are sections the same tilted in each direction: near none no slope leads."""
-    points = [point]
+    """Where there are sections a point tilted in each direction: near none no slope leads."""
+    points = list[Floats]()
     if fit_parameters.count(configured) > TILT.start:
         turn = 2.0 * np.pi if configured.mesh.geometry.cup_length else np.pi  # a ring's ends are alike
         for angle in turn * np.array(_QUARTERS):
@@ -249,6 +250,13 @@ def _of_motor(points: list[Floats], record: Record, motor: Motor) -> list[Floats
     return found
 
 
+def _coarse(configured: Drive) -> Drive:
+    """A drive with no more sections than a search needs."""
+    mesh = configured.mesh
+    geometry = replace(mesh.geometry, sections=min(mesh.geometry.sections, _SECTIONS))
+    return replace(configured, mesh=replace(mesh, geometry=geometry))
+
+
 class _Problem:
     """Least squares of the transmission error on some rows, free columns projected out, prior included."""
 
@@ -262,7 +270,7 @@ class _Problem:
         motor: Motor | None,
         held: tuple[int, ...],
     ) -> None:
-        self.configured, self.own = configured, fit_parameters.count(configured)
+        self.configured, self.own = _coarse(configured), fit_parameters.count(configured)
         self.motor = None if motor is None else motor._replace(torque=motor.torque[rows])
         own = np.zeros(0) if motor is None else motor.effect.usual
         self.input_angle, self.torque = record.input_angle[rows], record.torque[rows]
