@@ -282,6 +282,10 @@ logs over `log.max_size` or `log.max_age` | node | the oldest files go, never ot
     test_log_retention.py::test_the_oldest_go_until_the_rest_is_within_the_size
 an old log that cannot be deleted | node | LOG_FAILED, which hides no fault of a joint; samples and log go on
     test_log_retention.py::test_a_file_that_cannot_be_deleted_is_told
+a fault of a joint that begins | node | with `log.mode: snapshot` the minutes before it are written
+    test_node_recording.py::test_a_snapshot_holds_what_was_before_it_and_replays
+a diagnosis that is killed | node | told in `diagnosis_state`; the node lives
+    test_node_recording.py::test_a_diagnosis_that_is_killed_is_told_and_one_that_runs_ends_with_the_node
 a bit of the journal flipped | fleet | told; that result is judged again
     test_fleet_journal.py::test_a_result_that_has_changed_is_none
 a worker killed by its bag | fleet | an error in that row; the others go on

@@ -4,6 +4,7 @@ from rosbags.interfaces import Qos
 
 from hd_diag.bag.block import Topic
 from hd_diag.bag.errors import BagError, check_output, replaced
+from hd_diag.bag.memory import Memory, Received
 from hd_diag.bag.reader import BagReader, Batch, Mixed
 from hd_diag.bag.recover import RecoveryReport, recover
 from hd_diag.bag.retention import LogFolder, Retention
@@ -17,8 +18,10 @@ __all__ = [
     "BagWriter",
     "Batch",
     "LogFolder",
+    "Memory",
     "Mixed",
     "Qos",
+    "Received",
     "RecoveryReport",
     "Retention",
     "Topic",

@@ -177,6 +177,8 @@ def _forget(file: Path) -> None:
 def _remove_empty(folder: Path) -> None:
     """Take away a folder that has no file of a bag left, unless somebody else's lies there."""
     if not [*_files(folder)]:
+        for verdict in folder.glob("verdict_*"):
+            verdict.unlink(missing_ok=True)
         (folder / "metadata.yaml").unlink(missing_ok=True)
         with suppress(OSError):
             folder.rmdir()

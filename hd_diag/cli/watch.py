@@ -16,10 +16,12 @@ from hd_diag.cli.targets import Problem, write_json
 from hd_diag.ros.stop_signals import SIGNALLED, noted_signals
 from hd_diag.watch import Watch, as_json
 from hd_diag.watch.display import PLAIN_PERIOD, Display
+from hd_diag.watch.keys import pressed_keys
 
 if TYPE_CHECKING:
     from hd_diag.watch.listener import Listener
 
+_DIAGNOSE = "d"  # key that asks the nodes for a diagnosis
 _STEP = 0.2  # longest sleep between looks at signals [s]
 # Between the first report and a look at who else is there [s]: DDS may take 2.7 s to discover a second node.
 _SETTLE = 3.0
@@ -94,8 +96,11 @@ def _follow(
             shows.append(_json_lines(stack.enter_context(click.open_file(json_file, "w"))))
         if json_file != "-":
             shows.append(stack.enter_context(Display()).show)
+        pressed = stack.enter_context(pressed_keys())
         while not came:
             listener.wait(_STEP)
+            if _DIAGNOSE in pressed():
+                listener.diagnose()
             now = time.monotonic()
             is_last = fail_on_fault and _is_faulty(state, now)
             for show in shows:

@@ -61,6 +61,10 @@ class LogConfig:
     max_size: int = 0
     max_age: float = 0.0
     topics: str = "all"
+    mode: str = "continuous"
+    before: float = 300.0
+    after: float = 10.0
+    memory: int = 100_000_000
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,16 @@ class Config(MonitorConfig):
     log: LogConfig
     flat: Mapping[str, Value] = field(repr=False)
     given: Mapping[str, Value] = field(repr=False, compare=False)
+
+    @property
+    def diagnose_on_fault(self) -> bool:
+        """Whether the node diagnoses by itself when a fault begins."""
+        return bool(self.flat["diagnose.on_fault"])
+
+    @property
+    def diagnose_every(self) -> float:
+        """Time of motion after which the node diagnoses by itself [s]; 0 for never."""
+        return float(self.flat["diagnose.every"])
 
 
 def resolve(

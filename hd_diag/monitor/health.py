@@ -51,7 +51,7 @@ _TYPICAL = {
     "output 1": "typical of an output encoder off centre or of a link that runs out",
 }
 _TIMES = {1: "once", 2: "twice"}
-_CRITICISE = "run 'hd-diag diagnose' on a log"
+_CRITICISE = "the node's service ~/diagnose says why"
 _MESH = (
     "minimum_backlash_um",
     "loaded_pairs",
@@ -69,7 +69,11 @@ _SURROUNDINGS = {
     "log_state": "off",
     "log_lost": "0",
     "log_warning": "",
+    "log_memory_s": "0.0",
+    "log_memory_bytes": "0",
+    "diagnosis_state": "none",
 }
+_OF_JOINT = ("verdict", "verdict_time")  # facts with the joint's name behind a dot
 
 Fault = tuple[str, int, str]
 
@@ -135,6 +139,7 @@ def status(
         "messages_without_joint": str(streams.foreign),
         "silence_s": silence,
         **{name: facts.get(name, usual) for name, usual in _SURROUNDINGS.items()},
+        **{name: facts.get(f"{name}.{config.name}", "") for name in _OF_JOINT},
     }
     texts = {key: value if isinstance(value, str) else f"{float(value):.6g}" for key, value in values.items()}
     return Status(config.name, level, message, texts)

@@ -28,7 +28,7 @@ from hd_diag.model.mesh import Mesh
 from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.monitor.all_joints import Monitor
 from hd_diag.monitor.carried import carried, carry_on
-from hd_diag.monitor.publications import Publication, Report
+from hd_diag.monitor.publications import Publication, Report, Status
 from hd_diag.replay import versions
 from hd_diag.replay.events import write_event
 from hd_diag.streams.columns import JointStates
@@ -172,10 +172,12 @@ class Session:
 
     def tick(
         self, now: int, stamp: int, facts: Mapping[str, str], silence: Mapping[str, float] | None = None
-    ) -> None:
-        """Report on all joints, as `Monitor.tick`."""
+    ) -> Sequence[Status]:
+        """Report on all joints, as `Monitor.tick`; give their statuses."""
         self.lag = math.nan
-        self._publish([self.monitor.tick(now, stamp, facts, silence or None)])
+        report = self.monitor.tick(now, stamp, facts, silence or None)
+        self._publish([report])
+        return report.statuses
 
     def _configuration(
         self, now: int, values: Mapping[str, Any], models: Mapping[str, str], new: bool

@@ -42,6 +42,7 @@ from hd_diag.ros.message_types import definition_of
 from hd_diag.ros.parameter_server import ParameterServer
 from hd_diag.ros.publishers import Publishers
 from hd_diag.ros.publishing import Publishing
+from hd_diag.ros.recording import Recording
 from hd_diag.ros.stop_signals import ignore_signals, note_signals
 from hd_diag.ros.subscriptions import (
     INPUT_DEPTH,
@@ -90,7 +91,6 @@ class DiagnosticNode(Node):
         self._latencies: list[int] = []
         self._sources = sources(config, self.resolve_topic_name)
         self._log = LogWriter(config.log, {s.type_name: definition_of(s.type_name) for s in self._sources})
-        self._shown_state = ""
         self._publishing = Publishing(self, joints, self._log)
         own = {s.topic for joint in config.joints for s in joint.mapped.values() if s.topic}
         self._names = self._publishing.names | {topic: self.resolve_topic_name(topic) for topic in own}
@@ -98,6 +98,7 @@ class DiagnosticNode(Node):
             config, self._publishing.emit, self.get_fully_qualified_name(), dict(self._names)
         )
         self._session.start(self._now())
+        self._recording = Recording(self, self._log, self._session, self._now)
         prepare(config)
         self._builder = MapBuilder()
         self._build_maps(config.joints)
@@ -122,7 +123,6 @@ class DiagnosticNode(Node):
         self._jumps = self.get_clock().create_jump_callback(every, post_callback=self._on_clock)
         refused = "parameters were accepted and are not in force"
         self._server.serve(partial(self._survive, refused, self._put_in_force))
-        self._show_log_state()
 
     def housekeeping(self) -> float:
         """Do what is due by the clock: reports, finished maps, the log's flush, the publishers' reliability.
@@ -140,7 +140,7 @@ class DiagnosticNode(Node):
             self._survive("a look at publishers failed", self._seen.look)
             silences = [*self._session.monitor.silence(time.monotonic_ns()).values()]
             self._survive("a look for messages failed", self._withheld.look, silences)
-            self._show_log_state()
+            self._survive("a diagnosis failed", self._recording.look)
             if now >= self._next_report:
                 period = 1.0 / self._session.config.diagnostics_rate
                 self._next_report = max(self._next_report + period, now)
@@ -188,6 +188,7 @@ class DiagnosticNode(Node):
         """Report once more and finish the log."""
         with contextlib.suppress(Exception):
             self._report()
+        self._recording.close()
         self._seen.close()
         self._withheld.close()
         self._builder.close()
@@ -258,6 +259,7 @@ class DiagnosticNode(Node):
         facts = {
             "latency_p99_us": f"{latency:.1f}",
             **self._log.facts,
+            **self._recording.facts,
             "lag_s": f"{self._session.lag:.6g}",
             "messages_lost": str(lost),
             "warning": "; ".join(faults),
@@ -265,7 +267,9 @@ class DiagnosticNode(Node):
             **absences(self, [*zip(self._inputs, self._readers, strict=True)], self._session.config.joints),
         }
         silence = self._session.monitor.silence(time.monotonic_ns())
-        self._session.tick(self._now(), self.get_clock().now().nanoseconds, facts, silence)
+        self._recording.follow(
+            self._session.tick(self._now(), self.get_clock().now().nanoseconds, facts, silence)
+        )
 
     def _take_maps(self) -> None:
         while not self._builder.finished.empty():
@@ -279,15 +283,6 @@ class DiagnosticNode(Node):
                 )
             if self._builder.finished.empty():
                 give_back()
-
-    def _show_log_state(self) -> None:
-        state = self._log.state
-        if state != self._shown_state:
-            self._shown_state = state
-            if state.startswith("failed"):  # each severity needs a line of its own, or rclpy raises
-                self.get_logger().error(f"log {state}")
-            else:
-                self.get_logger().info(f"log {state}")
 
     def _on_clock(self, jump: Any) -> None:
         """The clock was set, back by less than stamps show by themselves where a short bag begins anew.

@@ -167,6 +167,7 @@ class JointTable:
         found = []
         if hidden:
             found.append(f"{hidden} more joints have no room here: --joint chooses")
+        found += [f"{node} {answer}" for node, answer in sorted(self._watch.answers.items())]
         if missing := self._watch.missing():
             found.append(f"not reported: {', '.join(missing)}")
         if shared := sorted({view.name for view in self._views if len(view.nodes) > 1}):
@@ -220,7 +221,12 @@ def _order(view: JointView) -> list[str]:
 
 def _bookkeeping(view: JointView) -> list[str]:
     samples, latency = (shown_number(view.number(key), 0) for key in ("samples", "latency_p99_us"))
-    return [f"{samples} samples", f"latency {latency} µs", f"log {view.text('log_state', '-')}"]
+    kept = [f"{samples} samples", f"latency {latency} µs", f"log {view.text('log_state', '-')}"]
+    if (state := view.text("diagnosis_state", "none")) != "none" and not state.startswith("done"):
+        kept.append(f"diagnosis {state}")
+    if found := view.text("verdict"):
+        kept.append(f"verdict of {view.text('verdict_time')}: {found}")
+    return kept
 
 
 def _shown_name(view: JointView) -> str:

@@ -9,6 +9,7 @@ import os
 import time
 from collections.abc import Iterator
 from functools import partial
+from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -16,6 +17,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
+from std_srvs.srv import Trigger
 
 from hd_diag.messages.publications import DIAGNOSTICS
 from hd_diag.watch.state import DEFAULT_TOPIC, NodeSeen, ReportedStatus, Watch
@@ -32,6 +34,7 @@ class Listener(Node):
         super().__init__(name, enable_rosout=False, start_parameter_services=False)
         self._watch = watch
         self._topics: set[str] = set()
+        self._diagnosers: dict[str, Any] = {}
         self._next_look = 0.0
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self)
@@ -53,6 +56,21 @@ class Listener(Node):
         self._watch.nodes = sorted(node for topic in carrying for node in self._senders(topic, topics))
         for node in self._watch.wanted_nodes():
             self._listen(node.topic)
+
+    def diagnose(self) -> None:
+        """Ask the nodes that are watched for a diagnosis; what they answer is told."""
+        self._watch.answers.clear()
+        for node in self._watch.wanted_nodes():
+            client = self._diagnosers.get(node.name) or self.create_client(Trigger, f"{node.name}/diagnose")
+            self._diagnosers[node.name] = client
+            if client.service_is_ready():
+                client.call_async(Trigger.Request()).add_done_callback(partial(self._answered, node.name))
+            else:
+                self._watch.answers[node.name] = "has no service ~/diagnose"
+
+    def _answered(self, node: str, asked: Any) -> None:
+        answer = asked.result()
+        self._watch.answers[node] = f"{'diagnosis' if answer.success else 'no diagnosis'}: {answer.message}"
 
     def destroy_node(self) -> None:
         """Leave the ROS graph."""

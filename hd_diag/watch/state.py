@@ -128,7 +128,7 @@ class Watch:
     """State of a watcher, of joints and of nodes in or below namespaces; where none is asked for, of all.
 
     The nodes are all in the graph now, `others` are names of statuses that are not this package's, `messages`
-    counts the DiagnosticArrays that came.
+    counts the DiagnosticArrays that came, `answers` are those of nodes that were asked for a diagnosis.
     """
 
     joints: Collection[str] = ()
@@ -136,6 +136,7 @@ class Watch:
     nodes: Sequence[NodeSeen] = ()
     others: list[str] = field(default_factory=list)
     messages: int = 0
+    answers: dict[str, str] = field(default_factory=dict)
     _reports: dict[tuple[str, str, str], _Reports] = field(default_factory=dict)
 
     def take(self, topic: str, statuses: Iterable[ReportedStatus], now: float) -> None:

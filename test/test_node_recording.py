@@ -1,0 +1,159 @@
+"""Snapshots and diagnoses beside a running node, by services and by themselves, over DDS."""
+
+import json
+import os
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cli_runner import hd_diag
+from live import parameters
+from logs import content
+from player import Player
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from running import Rig, running
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+
+from hd_diag.bag import BagReader
+from hd_diag.replay.replay import replay
+
+pytestmark = pytest.mark.usefixtures("ros")
+PATIENCE = 600.0  # for what has the lowest priority, on a machine that does much else [s]
+IDLE = "keeping the last 60 s"
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    folder = tmp_path_factory.mktemp("recorded")
+    log = {"path": str(folder / "log"), "mode": "snapshot", "before": 60.0, "after": 0.3, "topics": "inputs"}
+    given = parameters(
+        diagnostics_rate=10.0, use_sim_time=True, **{f"log.{name}": value for name, value in log.items()}
+    )
+    with running(folder, given) as rig:
+        rig.values("joint_1", lambda values: values["prediction"] == "map")
+        rig.log = folder / "log"  # type: ignore[attr-defined]
+        yield rig
+
+
+@pytest.fixture(scope="module")
+def player(rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Player:
+    bag = tmp_path_factory.mktemp("simulated") / "joint.mcap"
+    assert hd_diag("simulate", "--out", bag, "--duration", 20, "--eccentricity-um", 18).exit_code == 0
+    return Player(rig, bag)
+
+
+def call(rig: Rig, name: str, kind: Any = Trigger, **fields: Any) -> tuple[bool, str]:
+    """Answer of a service of the node, which comes at once."""
+    client = rig.node.create_client(kind, f"hd_diag/{name}")
+    rig.until(client.service_is_ready, f"service {name}")
+    asked = client.call_async(kind.Request(**fields))
+    rig.until(asked.done, "answer")
+    rig.node.destroy_client(client)
+    return asked.result().success, asked.result().message
+
+
+def state(rig: Rig, key: str, text: str) -> dict[str, str]:
+    return rig.values("joint_1", lambda values: values[key].startswith(text))
+
+
+def children(pid: int) -> list[int]:
+    """Processes of the node that diagnose."""
+    found = []
+    for each in Path("/proc").glob("[0-9]*"):
+        try:
+            parent = int((each / "stat").read_text().rpartition(")")[2].split()[1])
+            if parent == pid and b"diagnose" in (each / "cmdline").read_bytes():
+                found.append(int(each.name))
+        except OSError:
+            continue
+    return found
+
+
+def test_a_snapshot_holds_what_was_before_it_and_replays(rig: Rig, player: Player, tmp_path: Path) -> None:
+    """A fault that begins writes one by itself; what comes after begins anew, with all that is known."""
+    sent = player.play(1.0, 1, ())
+    values = rig.values("joint_1", lambda values: int(values["samples"]) >= sent - 50)
+    assert values["samples_missed"] == values["messages_lost"] == "0", values
+    log: Path = rig.log  # type: ignore[attr-defined]
+    rig.until(log.exists, "snapshot of a fault")  # RESIDUAL, or else STALE
+    state(rig, "log_state", IDLE)
+    taken = call(rig, "snapshot")
+    assert taken[0], taken
+    state(rig, "log_state", IDLE)
+    assert Path(taken[1]).is_dir()
+    counted, topic = 0, f"{rig.process.namespace}/joint_states"
+    bags = sorted(log.iterdir())
+    assert len(bags) >= 2
+    for number, bag in enumerate(bags):
+        with BagReader(bag) as reader:
+            assert not reader.problems
+        replay(bag, tmp_path / f"{number}.mcap")
+        logged, again = content(bag), content(tmp_path / f"{number}.mcap")
+        counted += len(logged.get(topic, []))
+        assert all(again[name] == logged[name] for name in logged)
+    assert sent - 20 <= counted <= sent  # between a snapshot and the memory's new beginning nothing waits
+
+
+def test_a_log_is_begun_and_ended(rig: Rig, player: Player) -> None:
+    begun = call(rig, "start_log")
+    assert begun[0], begun
+    assert state(rig, "log_state", "writing")["log_state"] == f"writing {begun[1]}"
+    assert call(rig, "stop_log") == begun
+    state(rig, "log_state", IDLE)
+    assert call(rig, "stop_log") == (False, "~/stop_log: nothing is being written")
+    again = call(rig, "log", SetBool, data=True)
+    assert again[0], again
+    assert again[1] != begun[1]
+    assert call(rig, "log", SetBool, data=False) == again
+    state(rig, "log_state", IDLE)
+
+
+def test_it_diagnoses_without_losing_a_sample(rig: Rig, player: Player) -> None:
+    """The answer comes at once; one at a time; who subscribes later gets the verdict too."""
+    player.play(2.0, 1, ())
+    before = rig.values("joint_1")
+    asked, begin = call(rig, "diagnose"), time.monotonic()
+    assert asked[0], asked
+    ok, busy = call(rig, "diagnose")
+    assert (ok, time.monotonic() - begin < 10.0) == (False, True)
+    assert asked[1] in busy
+    sent = player.play(1.0, 1, ())
+    rig.until(lambda: Path(asked[1]).is_file(), "verdict", PATIENCE)
+    state(rig, "diagnosis_state", "done")
+    values = rig.values("joint_1", lambda v: int(v["samples"]) == int(before["samples"]) + sent)
+    assert (values["samples_missed"], values["messages_lost"]) == ("0", "0")
+    stem = asked[1].removesuffix(".json")
+    result = json.loads(Path(asked[1]).read_text())
+    assert result["schema"] == "hd_diag/diagnosis/1"
+    assert "<html" in Path(f"{stem}.html").read_text()
+    assert values["verdict"] == " ".join(result["verdict"].split())[: len(values["verdict"])]
+    assert values["verdict_time"].startswith(time.strftime("%Y-"))
+    heard: list[String] = []
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    rig.node.create_subscription(String, "hd_diag/verdict", heard.append, latched)
+    rig.until(lambda: heard, "latched verdict")
+    assert json.loads(heard[0].data) == result
+
+
+def test_a_diagnosis_that_is_killed_is_told_and_one_that_runs_ends_with_the_node(
+    rig: Rig, player: Player
+) -> None:
+    pid = rig.process.popen.pid
+    for number in (signal.SIGKILL, signal.SIGINT):
+        player.play(10.0, 1, ())  # what a diagnosis before has looked at may be older than a snapshot is long
+        asked = call(rig, "diagnose")
+        assert asked[0], asked
+        state(rig, "diagnosis_state", "diagnoses")
+        (child,) = rig.until(lambda: children(pid), "process")
+        assert os.getpriority(os.PRIO_PROCESS, child) == 19
+        if number == signal.SIGKILL:
+            os.kill(child, number)
+            failed = state(rig, "diagnosis_state", "failed")
+            assert failed["diagnosis_state"] == "failed: was ended by SIGKILL"
+    assert rig.process.end(signal.SIGINT) == 0
+    assert children(pid) == []
+    assert not Path(f"/proc/{child}").exists()
