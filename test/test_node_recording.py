@@ -2,7 +2,11 @@
 
 import json
 import os
+import pty
+import select
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -157,3 +161,26 @@ def test_a_diagnosis_that_is_killed_is_told_and_one_that_runs_ends_with_the_node
     assert rig.process.end(signal.SIGINT) == 0
     assert children(pid) == []
     assert not Path(f"/proc/{child}").exists()
+
+
+def test_a_key_of_watch_asks_for_a_diagnosis(tmp_path: Path) -> None:
+    """In a terminal; the node's answer is shown."""
+    with running(tmp_path, parameters(diagnostics_rate=10.0)) as rig:
+        screen, theirs = pty.openpty()
+        verb = [sys.executable, "-m", "hd_diag", "watch", "--namespace", rig.process.namespace]
+        watching = subprocess.Popen(["setsid", "--ctty", *verb], stdin=theirs, stdout=theirs, stderr=theirs)
+        shown = b""
+
+        def shows(text: bytes) -> bool:
+            nonlocal shown
+            while select.select([screen], [], [], 0.0)[0]:
+                shown += os.read(screen, 1 << 16)
+            return text in shown
+
+        try:
+            rig.until(lambda: shows(b"joint_1"), "picture of watch")
+            os.write(screen, b"d")
+            rig.until(lambda: shows(b"no diagnosis: "), "answer in watch")
+        finally:
+            watching.kill()
+            watching.wait()
