@@ -486,7 +486,8 @@ def test_a_rival_that_explains_something_else_is_none() -> None:
 def test_parameters_that_predict_no_better_stay_as_configured(monkeypatch: pytest.MonkeyPatch) -> None:
     """Those of noise, which held-out blocks of the fit itself have passed."""
     monkeypatch.setattr(predictive, "kept_parameters", lambda fit, chosen: (fit, Kept({})))
-    for drive, held in ((CONFIGURED, GROUPS.keys()), (TRUE, set[str]())):
+    groups = GROUPS.keys() - {"tilt"}  # the drive has one section
+    for drive, held in ((CONFIGURED, groups), (TRUE, set[str]())):
         record = swinging(drive=drive)
         test, which = held_out(record)
         start = fit_parameters.vector(drive, CONFIGURED)
