@@ -11,8 +11,10 @@ import zstandard
 from rosbags.interfaces import Qos
 
 _BLOCK = 1 << 18  # of contents that are compressed together [byte]
-_OBJECTS = 300  # that Python takes for a message that waits for that [byte]
 _PARTS = 10  # of the time to keep: the oldest goes as a whole
+
+OBJECTS = 300
+"""What Python takes for a message that waits, beside its contents [byte]."""
 
 
 class Received(NamedTuple):
@@ -75,7 +77,7 @@ class Memory:
         if not self._parts:
             return
         self._open.append(message)
-        self._open_size += len(message.data) + _OBJECTS
+        self._open_size += len(message.data) + OBJECTS
         self._last = message.time
         if self._open_size >= _BLOCK:
             self._close()

@@ -14,6 +14,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Temperature
 
+from hd_diag.bag.memory import OBJECTS
 from hd_diag.bag.typestore import store_of
 from hd_diag.config.configuration import Config, ConfigError
 from hd_diag.config.configured_signals import OWNERS
@@ -29,8 +30,6 @@ INPUT_DEPTH = 2000
 
 MOST_BYTES = 16 << 20
 """That may wait in DDS, and as many in the node."""
-
-_OBJECTS = 300  # bytes that Python takes for a message that waits
 
 Reader = JointStateReader | FieldReader
 
@@ -213,7 +212,7 @@ class Waiting:
     def put(self, source: SignalTopic, reader: Reader, data: bytes, waited: float = 0.0) -> None:
         """Append a message that has waited elsewhere [s]; the oldest are dropped beyond `MOST_BYTES`."""
         self.taken += 1
-        self._bytes += len(data) + _OBJECTS
+        self._bytes += len(data) + OBJECTS
         self._messages.append((time.monotonic() - waited, (source, reader, data)))
         while self._bytes > MOST_BYTES and len(self._messages) > 1:
             self.dropped += 1
@@ -223,7 +222,7 @@ class Waiting:
         """Remove and give the oldest message."""
         self.longest = max(self.longest, self.age)
         _, message = self._messages.popleft()
-        self._bytes -= len(message[-1]) + _OBJECTS
+        self._bytes -= len(message[-1]) + OBJECTS
         return message
 
     def some(self, most: int) -> list[tuple[SignalTopic, Reader, bytes]]:

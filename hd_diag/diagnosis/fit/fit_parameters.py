@@ -56,22 +56,26 @@ GROUPS: dict[str, tuple[int, ...]] = {
 }
 """Parameters that are judged together: their numbers."""
 
-DATUM, COMPLIANCE, CUP = 4, 5, 6
+DATUM, COMPLIANCE, CUP = (
+    GROUPS[name][0] for name in ("circular_spline_datum", "tooth_compliance", "cup_compliance")
+)
 """Numbers of the datum and of the two compliances."""
 
-TILT = slice(7, 9)
+_PAIRS = {name: slice(own[0], own[1] + 1) for name, own in GROUPS.items() if len(own) == 2}
+TILT = _PAIRS["tilt"]
 """Numbers of the tilt, none where there is one section."""
 
-_PAIRS = {"eccentricity": slice(0, 2), "runout": slice(2, 4), "tilt": TILT}
-_SINGLE = slice(4, 7)  # what is no displacement
+_SINGLE = slice(DATUM, CUP + 1)  # what is no displacement
 _MOST_DISPLACED = {"eccentricity": 45.0, "runout": 20.0}
 _MOST_TILTED, _MOST_LEANING = 50.0, 15.0  # units; of the outermost section's displacement, in units of length
 _ROOM = 0.98  # of what a mesh can be displaced by
 _DATUM = (-40.0, 45.0)  # from the configured one
 _HALVINGS = 12  # towards the last datum that makes a gear
 
-_SIGNS = np.array([-1.0, -1.0, -1.0, -1.0, 1.0, 1.0, 1.0, -1.0, -1.0])  # that swapped lobes give
-_OTHER_END = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0, -1.0])
+_OTHER_END = np.ones(len(SCALES))  # signs by which a ring's ends are swapped
+_OTHER_END[TILT] = -1.0
+_SIGNS = -np.ones(len(SCALES))  # that swapped lobes give
+_SIGNS[_SINGLE] = 1.0
 
 _STEPS_PER_TOOTH, _IN_SECTIONS = 8, 3  # nodes along a record; sections bear one after the other
 _NODES_PAY = 1.5  # samples per node from which they do
