@@ -1,7 +1,10 @@
 """What does not come to a node in the usual way, over DDS between processes: none is lost in silence."""
 
 import itertools
+import os
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -14,6 +17,7 @@ from running import PUBLISHER_DEPTH, Rig, feed, running, values_of
 from hd_diag.ros.numbers import Missing
 from hd_diag.ros.subscriptions import INPUT_DEPTH
 
+LATE = 1.0  # wait that is a warning [s]
 QUICK = {"diagnostics_rate": 10.0}
 
 
@@ -84,7 +88,7 @@ def test_one_of_two_publishers_is_held_up(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("ros")
 def test_all_of_a_flood_is_accounted_for_and_said(tmp_path: Path) -> None:
-    """What gives way in DDS, of which it says nothing, is counted; what waited is a warning."""
+    """What gives way in DDS, of which it says nothing, is counted; that the node was stopped is a warning."""
     count, stop, go_on = 12_000, 2000, 9000
     with running(tmp_path, parameters(**QUICK)) as rig:
         publisher = rig.publisher()
@@ -99,7 +103,25 @@ def test_all_of_a_flood_is_accounted_for_and_said(tmp_path: Path) -> None:
         assert accounted(values) == count
         assert int(values["messages_lost"]) >= go_on - stop - max(INPUT_DEPTH, PUBLISHER_DEPTH)
         assert warned(rig, "messages were lost since the last report")
-        assert warned(rig, "the node cannot keep up: messages waited up to")
+        assert warned(rig, "the node stood still for")
+
+
+@pytest.mark.usefixtures("ros")
+def test_what_waits_for_a_node_without_a_core_is_said(tmp_path: Path) -> None:
+    """Its first thread gets what another process leaves of a core, while those of DDS take messages."""
+    count = 1000
+    with running(tmp_path, parameters(**QUICK)) as rig:
+        publisher, core = rig.publisher(), min(os.sched_getaffinity(0))
+        rig.values("joint_1", lambda values: values["prediction"] == "map")
+        with subprocess.Popen([sys.executable, "-c", "while True: pass"]) as busy:
+            os.sched_setaffinity(busy.pid, {core})
+            os.sched_setaffinity(rig.process.popen.pid, {core})
+            os.sched_setscheduler(rig.process.popen.pid, os.SCHED_IDLE, os.sched_param(0))
+            feed(publisher, itertools.count(START, MS), count)
+            time.sleep(2.0 * LATE)
+            busy.kill()
+        rig.values("joint_1", lambda v: accounted(v) >= count)
+        rig.until(lambda: warned(rig, "the node cannot keep up: messages waited up to"), "warning")
 
 
 @pytest.mark.usefixtures("ros")

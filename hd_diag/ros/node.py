@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import math
 import os
 import sys
 import time
@@ -65,7 +66,7 @@ _GATHER = 0.004  # from some samples to the next, while these come faster [s]
 _TOGETHER = 64  # most messages that are processed at once
 _BEHIND = 0.1  # age of a sample from which on the node does less of the rest [s]
 _CATCH_UP = 0.5  # longest that a change waits for samples of before [s]
-_LATE = 1.0  # wait of a sample that is a warning [s]
+_LATE = 1.0  # wait of a sample, or standstill of the node, that is a warning [s]
 _LEAST_SHARE = 2.0**-12
 _WINDOW = 1.0  # in which it is judged whether there is time for more [s]
 # Longest wait for the interpreter while a map is built beside [s]: a tenth of a sample at 1 kHz; Python's own
@@ -113,6 +114,7 @@ class DiagnosticNode(Node):
         self._withheld = Withheld(self, self._inputs)
         self._told_lost, self._busy, self._worked, self._paced = 0, 0.0, 0.0, 0.0
         self._others = 0  # messages taken that are no samples
+        self._turned, self._stood_still = math.inf, 0.0  # begin of the last turn, longest time of one [s]
         for joint in config.joints:
             if joint.signals.temperature is None:
                 take = partial(self._survive, "a temperature was dropped", self._temperature, joint.name)
@@ -156,6 +158,8 @@ class DiagnosticNode(Node):
         Samples gather for a moment after those before: taken together each costs about half. One that comes
         later, as at a lower rate, does not wait.
         """
+        begin = time.monotonic()
+        self._stood_still, self._turned = max(self._stood_still, begin - self._turned), begin
         pause = self.housekeeping()
         try:
             if not self._waiting:
@@ -255,7 +259,9 @@ class DiagnosticNode(Node):
         late = max(self._waiting.longest, self._waiting.age)
         if late > _LATE:
             faults.append(f"the node cannot keep up: messages waited up to {late:.1f} s")
-        self._told_lost, self._waiting.longest = lost, 0.0
+        if self._stood_still > _LATE:  # DDS too, where the process was stopped: it dates all as of afterwards
+            faults.append(f"the node stood still for {self._stood_still:.1f} s")
+        self._told_lost, self._waiting.longest, self._stood_still = lost, 0.0, 0.0
         facts = {
             "latency_p99_us": f"{latency:.1f}",
             **self._log.facts,
