@@ -21,6 +21,7 @@ from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
 
 LIMIT = 60.0  # for discovery and answers, on a machine that does much else [s]
 START_LIMIT = 500.0  # for the first node on a machine, which compiles the model [s]
@@ -182,9 +183,31 @@ class Rig:
         self.until(future.done, "answer")
         return list(future.result().values)
 
+    def call(self, name: str, kind: Any = Trigger, **fields: Any) -> tuple[bool, str]:
+        """Answer of a service of the node, which comes at once."""
+        client = self.node.create_client(kind, f"hd_diag/{name}")
+        self.until(client.service_is_ready, f"service {name}")
+        asked = client.call_async(kind.Request(**fields))
+        self.until(asked.done, "answer")
+        self.node.destroy_client(client)
+        return asked.result().success, asked.result().message
+
     def close(self) -> None:
         self._executor.shutdown()
         self.node.destroy_node()
+
+
+def children(pid: int, word: bytes) -> list[int]:
+    """Processes that a process has begun and whose command has a word."""
+    found = []
+    for each in Path("/proc").glob("[0-9]*"):
+        try:
+            parent = int((each / "stat").read_text().rpartition(")")[2].split()[1])
+            if parent == pid and word in (each / "cmdline").read_bytes():
+                found.append(int(each.name))
+        except OSError:
+            continue
+    return found
 
 
 def values_of(status: DiagnosticStatus) -> dict[str, str]:

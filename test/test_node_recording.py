@@ -10,19 +10,21 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from cli_runner import hd_diag
-from live import parameters
+from live import MS, START, parameters
 from logs import content
 from player import Player
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from running import Rig, running
+from rclpy.serialization import deserialize_message
+from running import Rig, children, feed, running, stamp_of
+from sensor_msgs.msg import JointState
 from std_msgs.msg import String
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import SetBool
 
-from hd_diag.bag import BagReader
+from hd_diag.bag import BagError, BagReader
+from hd_diag.bag.recover import recover
 from hd_diag.replay.replay import replay
 
 pytestmark = pytest.mark.usefixtures("ros")
@@ -50,31 +52,8 @@ def player(rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Player:
     return Player(rig, bag)
 
 
-def call(rig: Rig, name: str, kind: Any = Trigger, **fields: Any) -> tuple[bool, str]:
-    """Answer of a service of the node, which comes at once."""
-    client = rig.node.create_client(kind, f"hd_diag/{name}")
-    rig.until(client.service_is_ready, f"service {name}")
-    asked = client.call_async(kind.Request(**fields))
-    rig.until(asked.done, "answer")
-    rig.node.destroy_client(client)
-    return asked.result().success, asked.result().message
-
-
 def state(rig: Rig, key: str, text: str) -> dict[str, str]:
     return rig.values("joint_1", lambda values: values[key].startswith(text))
-
-
-def children(pid: int) -> list[int]:
-    """Processes of the node that diagnose."""
-    found = []
-    for each in Path("/proc").glob("[0-9]*"):
-        try:
-            parent = int((each / "stat").read_text().rpartition(")")[2].split()[1])
-            if parent == pid and b"diagnose" in (each / "cmdline").read_bytes():
-                found.append(int(each.name))
-        except OSError:
-            continue
-    return found
 
 
 def test_a_snapshot_holds_what_was_before_it_and_replays(rig: Rig, player: Player, tmp_path: Path) -> None:
@@ -85,7 +64,7 @@ def test_a_snapshot_holds_what_was_before_it_and_replays(rig: Rig, player: Playe
     log: Path = rig.log  # type: ignore[attr-defined]
     rig.until(log.exists, "snapshot of a fault")  # RESIDUAL, or else STALE
     state(rig, "log_state", IDLE)
-    taken = call(rig, "snapshot")
+    taken = rig.call("snapshot")
     assert taken[0], taken
     state(rig, "log_state", IDLE)
     assert Path(taken[1]).is_dir()
@@ -103,16 +82,16 @@ def test_a_snapshot_holds_what_was_before_it_and_replays(rig: Rig, player: Playe
 
 
 def test_a_log_is_begun_and_ended(rig: Rig, player: Player) -> None:
-    begun = call(rig, "start_log")
+    begun = rig.call("start_log")
     assert begun[0], begun
     assert state(rig, "log_state", "writing")["log_state"] == f"writing {begun[1]}"
-    assert call(rig, "stop_log") == begun
+    assert rig.call("stop_log") == begun
     state(rig, "log_state", IDLE)
-    assert call(rig, "stop_log") == (False, "~/stop_log: nothing is being written")
-    again = call(rig, "log", SetBool, data=True)
+    assert rig.call("stop_log") == (False, "~/stop_log: nothing is being written")
+    again = rig.call("log", SetBool, data=True)
     assert again[0], again
     assert again[1] != begun[1]
-    assert call(rig, "log", SetBool, data=False) == again
+    assert rig.call("log", SetBool, data=False) == again
     state(rig, "log_state", IDLE)
 
 
@@ -120,9 +99,9 @@ def test_it_diagnoses_without_losing_a_sample(rig: Rig, player: Player) -> None:
     """The answer comes at once; one at a time; who subscribes later gets the verdict too."""
     player.play(2.0, 1, ())
     before = rig.values("joint_1")
-    asked, begin = call(rig, "diagnose"), time.monotonic()
+    asked, begin = rig.call("diagnose"), time.monotonic()
     assert asked[0], asked
-    ok, busy = call(rig, "diagnose")
+    ok, busy = rig.call("diagnose")
     assert (ok, time.monotonic() - begin < 10.0) == (False, True)
     assert asked[1] in busy
     sent = player.play(1.0, 1, ())
@@ -149,17 +128,17 @@ def test_a_diagnosis_that_is_killed_is_told_and_one_that_runs_ends_with_the_node
     pid = rig.process.popen.pid
     for number in (signal.SIGKILL, signal.SIGINT):
         player.play(10.0, 1, ())  # what a diagnosis before has looked at may be older than a snapshot is long
-        asked = call(rig, "diagnose")
+        asked = rig.call("diagnose")
         assert asked[0], asked
         state(rig, "diagnosis_state", "diagnoses")
-        (child,) = rig.until(lambda: children(pid), "process")
+        (child,) = rig.until(lambda: children(pid, b"diagnose"), "process")
         assert os.getpriority(os.PRIO_PROCESS, child) == 19
         if number == signal.SIGKILL:
             os.kill(child, number)
             failed = state(rig, "diagnosis_state", "failed")
             assert failed["diagnosis_state"] == "failed: was ended by SIGKILL"
     assert rig.process.end(signal.SIGINT) == 0
-    assert children(pid) == []
+    assert children(pid, b"diagnose") == []
     assert not Path(f"/proc/{child}").exists()
 
 
@@ -184,3 +163,44 @@ def test_a_key_of_watch_asks_for_a_diagnosis(tmp_path: Path) -> None:
         finally:
             watching.kill()
             watching.wait()
+
+
+def taken_in(bag: Path) -> list[int]:
+    """Stamps of the joint states in a bag, or in what there is of it [ns]."""
+    try:
+        states = [found for topic, found in content(bag).items() if topic.endswith("/joint_states")]
+    except BagError:
+        return []
+    return [stamp_of(deserialize_message(data, JointState)) for found in states for _, data in found]
+
+
+@pytest.mark.parametrize(("mode", "service"), [("snapshot", "snapshot"), ("off", "start_log")])
+def test_of_a_node_that_is_killed_what_is_on_disk_is_read(mode: str, service: str, tmp_path: Path) -> None:
+    """It is what came first, without a gap, and replays; what the memory alone held is lost."""
+    log, before, count = tmp_path / "log", 2000, 1000
+    own = {"path": str(log), "mode": mode, "before": 60.0, "after": 60.0}
+    given = parameters(diagnostics_rate=10.0, **{f"log__{name}": value for name, value in own.items()})
+    stamps = range(START, START + (before + count) * MS, MS)
+    with running(tmp_path, given) as rig:
+        publisher = rig.publisher()
+        feed(publisher, iter(stamps), before)
+        rig.values("joint_1", lambda values: int(values["samples"]) == before)
+        assert not log.exists()
+        taken = rig.call(service)
+        assert taken[0], taken
+        feed(publisher, iter(stamps[before:]), count if mode == "off" else 0)
+        rig.until(lambda: taken_in(Path(taken[1])), "samples on the disk")
+        rig.process.popen.kill()
+        rig.process.popen.wait()
+    (bag,) = log.iterdir()
+    found = taken_in(bag)
+    first = 0 if mode == "snapshot" else before
+    assert found == [*stamps[first : first + len(found)]]
+    with BagReader(bag) as reader:
+        assert any("has no end" in problem for problem in reader.problems)
+    recover(bag, tmp_path / "saved")
+    replay(tmp_path / "saved", tmp_path / "again")
+    logged, again = content(tmp_path / "saved"), content(tmp_path / "again")
+    assert taken_in(tmp_path / "saved") == found
+    for topic, messages in again.items():
+        assert messages[: len(logged.get(topic, []))] == logged.get(topic, []), topic

@@ -70,7 +70,7 @@ class DiagnosisRun:
                 stem, self._process, self._stem = self._stem, None, None
                 self._take(stem, code)
         except (OSError, ValueError) as error:
-            self._fail(str(error))
+            self.fail(str(error))
 
     def close(self) -> None:
         """End the process, and those that it has begun."""
@@ -118,7 +118,8 @@ class DiagnosisRun:
         self._publish(text)
         self._tell(f"done: {place}")
 
-    def _fail(self, reason: str) -> None:
+    def fail(self, reason: str) -> None:
+        """End it and tell why."""
         with suppress(ProcessLookupError):
             self.close()
         self._process = self._stem = None

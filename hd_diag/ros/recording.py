@@ -21,6 +21,7 @@ from hd_diag.ros.diagnosis_run import DiagnosisRun
 from hd_diag.ros.log_writer import LogWriter
 
 _OF_NO_JOINT = {"LOG_FAILED", "OK"}
+_MOVED = 0.01  # by which an input has turned, and is no encoder's noise [rad]
 
 
 class Recording:
@@ -32,7 +33,7 @@ class Recording:
     def __init__(self, node: Node, log: LogWriter, session: Session, now: Callable[[], int]) -> None:
         self._log, self._session, self._now = log, session, now
         self._faults: dict[str, set[str]] = {}
-        self._angles: dict[str, str] = {}
+        self._angles: dict[str, float] = {}
         self._moved, self._seen = 0.0, time.monotonic()
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         verdicts = node.create_publisher(String, "~/verdict", latched)
@@ -54,21 +55,35 @@ class Recording:
 
     def follow(self, statuses: Sequence[Status]) -> None:
         """Look at a report: a fault that begins, or enough motion, begins what is configured."""
-        config, begun, now = self._session.config, False, time.monotonic()
-        turning = False
+        config, now = self._session.config, time.monotonic()
+        begun, every = self._has_begun(statuses), config.diagnose_every
+        self._moved += self._is_turning(statuses) * (now - self._seen)
+        self._seen = now
+        if begun and config.log.mode == "snapshot" and config.log.path:
+            with suppress(BagError):  # the log's state tells why
+                self._record(config.log.after)
+        if (begun and config.diagnose_on_fault) or (every and self._moved >= every):
+            self._diagnose_by_itself(config.log.after if begun else 0.0)
+
+    def _has_begun(self, statuses: Sequence[Status]) -> bool:
+        """Whether a joint has a fault that it did not have in the report before."""
+        begun = False
         for status in statuses:
             values = status.values
             faults = set(values["fault_codes"].split()) - _OF_NO_JOINT if values["samples"] != "0" else set()
             begun |= bool(faults - self._faults.get(status.joint, set()))
-            turning |= values["input_angle_rad"] != self._angles.get(status.joint)
-            self._faults[status.joint], self._angles[status.joint] = faults, values["input_angle_rad"]
-        self._moved, self._seen = self._moved + turning * (now - self._seen), now
-        every = config.diagnose_every
-        with suppress(BagError):  # the log's state tells why
-            if begun and config.log.mode == "snapshot" and config.log.path:
-                self._record(config.log.after)
-            if (begun and config.diagnose_on_fault) or (every and self._moved >= every):
-                self._diagnose_now(config.log.after if begun else 0.0)
+            self._faults[status.joint] = faults
+        return begun
+
+    def _is_turning(self, statuses: Sequence[Status]) -> bool:
+        """Whether an input has turned since it last did."""
+        turning = False
+        for status in statuses:
+            angle, before = float(status.values["input_angle_rad"]), self._angles.get(status.joint, math.nan)
+            if not abs(angle - before) <= _MOVED:
+                self._angles[status.joint] = angle
+                turning |= math.isfinite(angle - before)
+        return turning
 
     def look(self) -> None:
         """Show the log's state; begin a diagnosis whose files are there, and take in one that has ended."""
@@ -112,6 +127,15 @@ class Recording:
         if self._log.state.startswith("failed"):
             raise BagError("log", self._log.state)
         return str(self._log.bags[-1])
+
+    def _diagnose_by_itself(self, after: float) -> None:
+        """As `_diagnose_now`, unless a diagnosis is under way; why there is none is told in its state."""
+        if self._run.is_busy:
+            return
+        try:
+            self._diagnose_now(after)
+        except BagError as error:
+            self._run.fail(str(error))
 
     def _diagnose_now(self, after: float) -> str:
         """Have the log's last minutes in files, to be diagnosed once they are whole; where the result is."""

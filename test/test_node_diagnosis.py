@@ -1,0 +1,111 @@
+"""Diagnoses that a node begins by itself, over DDS: at a fault, and after so much motion."""
+
+import itertools
+import os
+import random
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from live import MS, START, parameters, sample
+from logs import content
+from running import Rig, children, feed, running, values_of
+
+pytestmark = pytest.mark.usefixtures("ros")
+
+NOISE = 1e-3  # of an encoder at rest [rad]
+SLOW = 0.5  # speed of an input [rad/s]
+MOTION = 1.0  # after which the node diagnoses [s]
+AFTER = 1.0  # what a snapshot holds of the time after a fault [s]
+PATIENT = {f"joint_1__limits__silence__{level}": 1e6 for level in ("warn", "error")}
+
+
+def states(rig: Rig) -> set[str]:
+    """First words of what was said of a diagnosis up to now."""
+    rig.drain()
+    found = [values_of(status)["diagnosis_state"] for array in rig.reports for status in array.status]
+    return {said.partition(" ")[0].rstrip(":") for said in found}
+
+
+def parameter_files(folder: Path) -> list[Path]:
+    """What each diagnosis that was begun has left beside the log."""
+    return sorted(folder.rglob("*verdict_*.yaml"))
+
+
+def move(publisher: Any, stamps: Iterator[int], seconds: float, speed: float) -> None:
+    """Publish an input that turns at a speed [rad/s], as an encoder with noise shows it."""
+    noise, end = random.Random(1), time.monotonic() + seconds
+    while time.monotonic() < end:
+        stamp = next(stamps)
+        angle = speed * (stamp - START) * 1e-9 + noise.uniform(-NOISE, NOISE)
+        publisher.publish(sample(stamp, angle, angle / 100.0, 1.0))
+        time.sleep(0.01)
+
+
+def test_it_diagnoses_after_so_much_motion_and_again(tmp_path: Path) -> None:
+    """Standing still, with an encoder's noise, is no motion. A record that is too short is told."""
+    given = parameters(
+        diagnostics_rate=20.0, log__path=str(tmp_path / "log"), diagnose__every=MOTION, **PATIENT
+    )
+    with running(tmp_path, given) as rig:
+        publisher, stamps = rig.publisher(), itertools.count(START, 10 * MS)
+        move(publisher, stamps, 2.0 * MOTION, 0.0)
+        assert (states(rig), parameter_files(tmp_path)) == ({"none"}, [])
+        begin = time.monotonic()
+        for number in (1, 2):
+            while len(parameter_files(tmp_path)) < number:
+                feed(publisher, stamps, 5, 100.0)
+                rig.drain()
+            assert time.monotonic() - begin > number * MOTION - 0.2  # four reports
+            rig.values("joint_1", lambda values: values["diagnosis_state"].startswith("failed: "))
+        assert "at least half a turn is needed" in rig.values("joint_1")["diagnosis_state"]
+
+
+def test_it_says_why_it_does_not_diagnose(tmp_path: Path) -> None:
+    with running(tmp_path, parameters(diagnostics_rate=20.0, diagnose__every=0.1, **PATIENT)) as rig:
+        publisher, stamps = rig.publisher(), itertools.count(START, 10 * MS)
+        values = rig.values(
+            "joint_1",
+            lambda values: values["diagnosis_state"] != "none",
+            lambda: move(publisher, stamps, 0.05, SLOW),
+        )
+        assert values["diagnosis_state"] == "failed: ~/diagnose: there is no log: call ~/start_log"
+
+
+def test_it_diagnoses_a_fault_once_with_what_was_before_and_after(tmp_path: Path) -> None:
+    """Only if asked to, which can be changed meanwhile; not before the snapshot has its end."""
+    log = tmp_path / "log"
+    own = {"path": str(log), "mode": "snapshot", "before": 60.0, "after": AFTER, "topics": "inputs"}
+    given = parameters(diagnostics_rate=20.0, **PATIENT, **{f"log__{name}": v for name, v in own.items()})
+    with running(tmp_path, given) as rig:
+        publisher, stamps = rig.publisher(), itertools.count(START, 10 * MS)
+
+        def fault(sent: int) -> float:
+            """One that begins after so many samples; when it did."""
+            feed(publisher, stamps, sent, 100.0)
+            assert rig.set(joint_1__eccentricity__magnitude=60e-6)[0].successful
+            rig.values("joint_1", lambda values: "INTERFERENCE" in values["fault_codes"])
+            return time.monotonic()
+
+        fault(100)
+        rig.values("joint_1", lambda values: values["log_state"].startswith("writing"))
+        rig.values("joint_1", lambda values: values["log_state"].startswith("keeping"))
+        assert (states(rig), parameter_files(tmp_path)) == ({"none"}, [])
+        assert rig.set(diagnose__on_fault=True, joint_1__eccentricity__magnitude=0.0)[1].successful
+        rig.values("joint_1", lambda values: "INTERFERENCE" not in values["fault_codes"])
+
+        begin = fault(150)
+        feed(publisher, stamps, 30, 100.0)
+        (child,) = rig.until(lambda: children(rig.process.popen.pid, b"diagnose"), "process")
+        assert time.monotonic() - begin > AFTER - 0.2  # four reports
+        os.kill(child, signal.SIGKILL)
+        rig.values("joint_1", lambda values: values["diagnosis_state"] == "failed: was ended by SIGKILL")
+        feed(publisher, stamps, 50, 100.0)  # the fault goes on
+        assert "INTERFERENCE" in rig.values("joint_1")["fault_codes"]
+        assert len(parameter_files(tmp_path)) == 1
+        assert {"none", "waits", "diagnoses", "failed"} >= states(rig) >= {"waits", "failed"}
+    (bag,) = {file.parent for file in parameter_files(tmp_path)}
+    assert len(content(bag)[f"{rig.process.namespace}/joint_states"]) == 180
