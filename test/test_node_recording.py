@@ -1,5 +1,6 @@
 """Snapshots and diagnoses beside a running node, by services and by themselves, over DDS."""
 
+import contextlib
 import json
 import os
 import pty
@@ -8,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -115,6 +116,9 @@ def test_it_diagnoses_without_losing_a_sample(rig: Rig, player: Player) -> None:
     assert "<html" in Path(f"{stem}.html").read_text()
     assert values["verdict"] == " ".join(result["verdict"].split())[: len(values["verdict"])]
     assert values["verdict_time"].startswith(time.strftime("%Y-"))
+    with watching(rig) as (_, shows):
+        rig.until(lambda: shows(f"verdict of {values['verdict_time']}: "), "verdict in watch")
+        rig.until(lambda: shows(values["verdict"].split(";")[0][:20]), "its words")
     heard: list[String] = []
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     rig.node.create_subscription(String, "hd_diag/verdict", heard.append, latched)
@@ -142,27 +146,33 @@ def test_a_diagnosis_that_is_killed_is_told_and_one_that_runs_ends_with_the_node
     assert not Path(f"/proc/{child}").exists()
 
 
+@contextlib.contextmanager
+def watching(rig: Rig) -> Iterator[tuple[int, Callable[[str], bool]]]:
+    """`hd-diag watch` in a terminal: where keys are written, and whether it has shown a text."""
+    screen, theirs = pty.openpty()
+    verb = [sys.executable, "-m", "hd_diag", "watch", "--namespace", rig.process.namespace]
+    process = subprocess.Popen(["setsid", "--ctty", *verb], stdin=theirs, stdout=theirs, stderr=theirs)
+    shown = b""
+
+    def shows(text: str) -> bool:
+        nonlocal shown
+        while select.select([screen], [], [], 0.0)[0]:
+            shown += os.read(screen, 1 << 16)
+        return text.encode() in shown
+
+    try:
+        yield screen, shows
+    finally:
+        process.kill()
+        process.wait()
+
+
 def test_a_key_of_watch_asks_for_a_diagnosis(tmp_path: Path) -> None:
     """In a terminal; the node's answer is shown."""
-    with running(tmp_path, parameters(diagnostics_rate=10.0)) as rig:
-        screen, theirs = pty.openpty()
-        verb = [sys.executable, "-m", "hd_diag", "watch", "--namespace", rig.process.namespace]
-        watching = subprocess.Popen(["setsid", "--ctty", *verb], stdin=theirs, stdout=theirs, stderr=theirs)
-        shown = b""
-
-        def shows(text: bytes) -> bool:
-            nonlocal shown
-            while select.select([screen], [], [], 0.0)[0]:
-                shown += os.read(screen, 1 << 16)
-            return text in shown
-
-        try:
-            rig.until(lambda: shows(b"joint_1"), "picture of watch")
-            os.write(screen, b"d")
-            rig.until(lambda: shows(b"no diagnosis: "), "answer in watch")
-        finally:
-            watching.kill()
-            watching.wait()
+    with running(tmp_path, parameters(diagnostics_rate=10.0)) as rig, watching(rig) as (screen, shows):
+        rig.until(lambda: shows("joint_1"), "picture of watch")
+        os.write(screen, b"d")
+        rig.until(lambda: shows("no diagnosis: "), "answer in watch")
 
 
 def taken_in(bag: Path) -> list[int]:

@@ -108,6 +108,18 @@ def test_a_flood_of_joints_texts_and_values_is_bounded() -> None:
     assert max(map(len, first.status.values.values())) <= 2000
 
 
+def test_the_last_verdict_is_a_line_of_its_own_with_its_time() -> None:
+    """Behind it, in a pipe; above it what a diagnosis does that has not ended."""
+    own = {"verdict": "As configured; nothing to do.", "verdict_time": "2026-01-02T03:04:05+0000"}
+    said = "verdict of 2026-01-02T03:04:05+0000: As configured; nothing to do."
+    done = watched(message(diagnosis_state="done: /log/verdict.json", **own))
+    assert lines(done)[-1] == f"  {said}"
+    assert plain_line(done.view(0.0)[0]).endswith(f"; {said}")
+    again = watched(message(diagnosis_state="diagnoses 2 files: /log/v.json", **own))
+    assert lines(again)[-2:] == ["  diagnosis diagnoses 2 files: /log/v.json", f"  {said}"]
+    assert "verdict of" not in drawn(watched(message()))
+
+
 @pytest.mark.parametrize(("period", "stale_after"), [(0.1, 3.0), (1.0, 3.0), (10.0, 30.0)])
 def test_a_joint_is_silent_after_three_periods(period: float, stale_after: float) -> None:
     watch, last = Watch(), 9 * period

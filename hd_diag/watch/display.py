@@ -138,10 +138,10 @@ class JointTable:
         return title.append(f"{faulty} with a fault" if faulty else "no fault", _STYLES[2 if faulty else 0])
 
     def _joint(self, view: JointView, is_shared: bool) -> list[Text]:
-        """Numbers; what is wrong, a line a statement; bookkeeping with the curve.
+        """Numbers; what is wrong, a line a statement; bookkeeping with the curve; the last verdict.
 
-        Where nothing is wrong the last two are one. Where the joint's name is shared, the bookkeeping begins
-        with its node.
+        Where nothing is wrong the second and the third are one. Where the joint's name is shared, the
+        bookkeeping begins with its node.
         """
         if self._is_narrow:
             return self._wrapped([Text(plain_line(view), _style(view))])
@@ -161,6 +161,7 @@ class JointTable:
         if room >= _SHORTEST_CURVE:
             curve = spark(view.residuals, room, self._is_ascii)
             words[-1].append("  ").append(curve, _GREY if view.is_stale else "cyan")
+        words += [Text("  ").append(shown_text(text)) for text in _diagnosed(view)]
         return [line, *self._wrapped(words)]
 
     def _remarks(self, hidden: int) -> list[Text]:
@@ -195,7 +196,13 @@ def waiting(watch: Watch) -> list[str]:
 
 def plain_line(view: JointView) -> str:
     """A joint in one line without control characters, for a pipe."""
-    parts = (_verdict(view, view.status.message), *_order(view), sentence(view.number), *_bookkeeping(view))
+    parts = (
+        _verdict(view, view.status.message),
+        *_order(view),
+        sentence(view.number),
+        *_bookkeeping(view),
+        *_diagnosed(view),
+    )
     return f"{shown_text(f'{_node(view)} {view.name}')}: {'; '.join(map(shown_text, parts))}"
 
 
@@ -221,12 +228,15 @@ def _order(view: JointView) -> list[str]:
 
 def _bookkeeping(view: JointView) -> list[str]:
     samples, latency = (shown_number(view.number(key), 0) for key in ("samples", "latency_p99_us"))
-    kept = [f"{samples} samples", f"latency {latency} µs", f"log {view.text('log_state', '-')}"]
-    if (state := view.text("diagnosis_state", "none")) != "none" and not state.startswith("done"):
-        kept.append(f"diagnosis {state}")
-    if found := view.text("verdict"):
-        kept.append(f"verdict of {view.text('verdict_time')}: {found}")
-    return kept
+    return [f"{samples} samples", f"latency {latency} µs", f"log {view.text('log_state', '-')}"]
+
+
+def _diagnosed(view: JointView) -> list[str]:
+    """What a diagnosis does, and what the last one has found of the joint."""
+    state, found = view.text("diagnosis_state", "none"), view.text("verdict")
+    is_told = state == "none" or state.startswith("done")
+    told = [] if is_told else [f"diagnosis {state}"]
+    return [*told, *([f"verdict of {view.text('verdict_time', '-')}: {found}"] if found else [])]
 
 
 def _shown_name(view: JointView) -> str:
