@@ -1,6 +1,7 @@
 """The memory of a snapshot: what it keeps, in order, within a time and a size; what comes of it."""
 
 import random
+import time
 from pathlib import Path
 
 import pytest
@@ -63,6 +64,51 @@ def test_it_takes_no_more_than_its_size_whatever_comes() -> None:
     times = held(memory)
     assert 10 <= len(times) <= 30
     assert times[-1] == START + 299 * SECOND // 10
+
+
+@pytest.mark.parametrize("size", [10, 4000])
+def test_what_gives_way_is_counted(size: int) -> None:
+    """Whether it is compressed or not yet; of a part of which some was taken only the rest."""
+    memory, count, gone, taken, noise = Memory(1e6, 1_000_000), 3000, 0, 0, random.Random(1)
+    for number in range(count):
+        if number % 100 == 0:
+            memory.begin_part(START + number)
+        gone += memory.put(Received("/x", STRING, noise.randbytes(size), START + number, None))
+        if number == count // 2:
+            taken += len(memory.take())
+    left = len(held(memory))
+    assert gone + taken + left == count
+    assert min(taken, left) > 0
+    assert (gone > 0) == (size > 10)
+
+
+def test_what_overflows_while_a_snapshot_is_written_is_lost_and_counted(tmp_path: Path) -> None:
+    """Of messages that come faster than they are written; then the log needs a new beginning."""
+    writer = log(tmp_path / "log", mode="snapshot", before=30.0, memory=1_000_000)
+    given, noise = 0, random.Random(1)
+
+    def come(count: int, size: int = 100_000) -> None:
+        nonlocal given
+        for _ in range(count):
+            writer.write("/x", STRING, noise.randbytes(size), START + given)
+            given += 1
+
+    writer.split_if_due(START)
+    come(5)
+    assert writer.facts["log_lost"] == "0"
+    writer.record()
+    come(20)
+    assert writer.state.startswith("failed: log.memory")
+    deadline = time.monotonic() + 10.0
+    while not writer.flush_if_due():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    come(5)
+    writer.stop()
+    writer.close()
+    with BagReader(writer.bags[0]) as reader:
+        assert reader.message_count + int(writer.facts["log_lost"]) == given == 30
+        assert reader.message_count == 5
 
 
 def log(path: Path, **options: object) -> LogWriter:

@@ -1,9 +1,12 @@
 """Snapshots and diagnoses beside a running node, by services and by themselves, over DDS."""
 
 import contextlib
+import itertools
 import json
 import os
 import pty
+import random
+import resource
 import select
 import signal
 import subprocess
@@ -14,7 +17,7 @@ from pathlib import Path
 
 import pytest
 from cli_runner import hd_diag
-from live import MS, START, parameters
+from live import MS, START, message, parameters
 from logs import content
 from player import Player
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -214,3 +217,35 @@ def test_of_a_node_that_is_killed_what_is_on_disk_is_read(mode: str, service: st
     assert taken_in(tmp_path / "saved") == found
     for topic, messages in again.items():
         assert messages[: len(logged.get(topic, []))] == logged.get(topic, []), topic
+
+
+def test_what_gives_way_before_it_is_written_is_lost_and_counted(tmp_path: Path) -> None:
+    """A log that begins with the memory, on a full disk: the memory is full, too, before the disk is free."""
+    log, count = tmp_path / "log", 2000
+    own = {"path": str(log), "mode": "snapshot", "before": 10.0, "memory": 1_000_000, "topics": "inputs"}
+    given = parameters(diagnostics_rate=10.0, **{f"log__{name}": value for name, value in own.items()})
+    noise, stamps = random.Random(1), itertools.count(START, MS)
+    with running(tmp_path, given) as rig:
+        publisher, pid = rig.publisher(), rig.process.popen.pid
+
+        def come(samples: int) -> None:
+            for stamp in itertools.islice(stamps, samples):
+                others = {f"other_{number}": noise.random() for number in range(100)}
+                publisher.publish(message(stamp, {"joint_1_motor": 1.0, "joint_1": 0.01, **others}))
+                time.sleep(0.001)
+
+        come(100)
+        rig.values("joint_1", lambda values: values["samples"] == "100")
+        before = resource.prlimit(pid, resource.RLIMIT_FSIZE, (2000, resource.RLIM_INFINITY))
+        rig.call("start_log")
+        come(count)
+        failed = rig.values("joint_1", lambda values: values["samples"] == str(100 + count))
+        assert int(failed["log_lost"]) > 0
+        resource.prlimit(pid, resource.RLIMIT_FSIZE, before)
+        state(rig, "log_state", "writing")
+        come(100)
+        values = rig.values("joint_1", lambda values: values["samples"] == str(200 + count))
+        assert rig.process.end() == 0
+        lost, events = int(values["log_lost"]), len(rig.reports) + 20
+    missing = 200 + count - sum(len(taken_in(bag)) for bag in log.iterdir())
+    assert 0 < missing <= lost <= missing + events

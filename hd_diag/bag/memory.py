@@ -32,6 +32,7 @@ class _Part:
     """Messages from one place on at which a replay can begin."""
 
     start: int
+    count: int = 0
     blocks: deque[bytes] = field(default_factory=deque)
 
 
@@ -72,17 +73,23 @@ class Memory:
         while len(self._parts) > 1 and now - self._parts[1].start >= self._length:
             self.drop()
 
-    def put(self, message: Received) -> None:
-        """Append a message to the last part; beyond the size the oldest parts go, at last all."""
+    def put(self, message: Received) -> int:
+        """Append a message to the last part; beyond the size the oldest parts go, at last all.
+
+        Gives how many messages went.
+        """
         if not self._parts:
-            return
+            return 0
+        self._parts[-1].count += 1
         self._open.append(message)
         self._open_size += len(message.data) + OBJECTS
         self._last = message.time
         if self._open_size >= _BLOCK:
             self._close()
+        gone = 0
         while self.size > self._most and self._parts:
-            self.drop()
+            gone += self.drop()
+        return gone
 
     def take(self) -> list[Received]:
         """Remove and give the oldest messages; none where there are no more."""
@@ -96,15 +103,17 @@ class Memory:
             return []
         block = self._parts[0].blocks.popleft()
         self._stored -= len(block)
-        found = pickle.loads(zstandard.decompress(block))
-        return list(found)
+        found = list(pickle.loads(zstandard.decompress(block)))
+        self._parts[0].count -= len(found)
+        return found
 
-    def drop(self) -> None:
-        """Forget the oldest part."""
+    def drop(self) -> int:
+        """Forget the oldest part; how many messages it held."""
         part = self._parts.popleft()
         self._stored -= sum(map(len, part.blocks))
         if not self._parts:
             self._open, self._open_size = [], 0
+        return part.count
 
     def _close(self) -> None:
         if self._open and self._parts:

@@ -94,9 +94,20 @@ class LogWriter:
     def write(self, topic: str, type_name: str, data: bytes, time: int, qos: Qos | None = None) -> None:
         """Write one message, received or caused at a time [ns]."""
         if self._memory or not self.is_recording:
-            self._memory.put(Received(topic, type_name, data, time, qos))
+            self._keep(Received(topic, type_name, data, time, qos))
         elif self._config.path:
             self._write(Received(topic, type_name, data, time, qos))
+
+    def _keep(self, message: Received) -> None:
+        """Put it into the memory; what gives way there is lost to a recording that has begun."""
+        gone = self._memory.put(message)
+        if gone and self.is_recording:
+            self._lost += gone
+            if not self._memory and self._again_at == math.inf:  # what comes next needs a new beginning
+                self._attempt(self._overflow)
+
+    def _overflow(self) -> None:
+        raise BagError("log.memory", "is too small for what came while a snapshot was written")
 
     def _write(self, message: Received) -> None:
         self._given += 1
@@ -211,7 +222,7 @@ class LogWriter:
             self._writer.resume()
             self.state = f"writing {visible(str(self._writer.paths[-1]))}"
             if self._memory:
-                self._memory.drop()  # the new file begins where a replay can
+                self._lost += self._memory.drop()  # the new file begins where a replay can
         self._again_at, self._began = math.inf, time.monotonic()
 
     def _attempt(self, action: Callable[[], object]) -> None:
