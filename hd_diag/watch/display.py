@@ -1,4 +1,4 @@
-"""What a watcher shows: joints in a live table in a terminal, plain lines elsewhere."""
+"""What a watcher shows: one table of joints in a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
@@ -17,16 +17,12 @@ from hd_diag.watch.state import DEFAULT_TOPIC, JointView, Watch
 
 REFRESH_PERIOD = 0.25
 """Shortest time between two pictures in a terminal [s]."""
-
 PLAIN_PERIOD = 1.0
 """Shortest time between two plain lines of a joint [s]."""
 
 _WIDEST = 120  # of the table [columns]
-_LONGEST_CURVE, _SHORTEST_CURVE = 40, 8
-_STYLES = ("green", "yellow", "bold red", "magenta")
-_GREY = "bright_black"
-_LEAST_NAME = 8
-_NAMES_SHOWN = 40  # characters of the nodes' names in the title
+_LONGEST_CURVE, _SHORTEST_CURVE, _LEAST_NAME, _NAMES_SHOWN = 40, 8, 8, 40  # [characters]
+_STYLES, _GREY = ("green", "yellow", "bold red", "magenta"), "bright_black"
 _MOST_STATEMENTS = 4  # of a message, a line each
 _LINES_ABOUT = 6  # title, heading, remark and the terminal's own last line
 
@@ -53,7 +49,7 @@ class Display:
             self._live.stop()
 
     def show(self, watch: Watch, now: float, is_last: bool = False) -> None:
-        """Show the present state if it is time to; the last time all of it, to be left there."""
+        """Show the present state if it is time to. The last table has all joints and stays there."""
         if now < self._next and not is_last:
             return
         self._next = now + REFRESH_PERIOD
@@ -62,20 +58,18 @@ class Display:
             self._live.update(table, refresh=True)
             return
         views = watch.view(now)
-        if not views and (lines := waiting(watch)) != self._waiting:
+        if not views and (lines := _waiting(watch)) != self._waiting:
             self._waiting = lines
             self._write(lines)
         self._write([plain_line(view) for view in views if self._is_news(view, now - view.age)])
 
     def _write(self, lines: Sequence[str]) -> None:
-        """Write lines, not by rich, which ends the program where the reader of a pipe has gone."""
-        encoding = self._console.encoding
-        for line in lines:
-            self._stream.write(_encodable(line, encoding) + "\n")
+        """Write lines without rich, which would end the program when the reader of a pipe has gone."""
+        self._stream.writelines(_encodable(line, self._console.encoding) + "\n" for line in lines)
         self._stream.flush()
 
     def _is_news(self, view: JointView, arrived: float) -> bool:
-        """Whether a report has another fault than the last that was shown, or came long after it."""
+        """Whether a report has another fault than the last one shown, or came long after it."""
         key, state = (view.topic, view.status.hardware_id, view.name), (view.code, view.is_silent)
         before, *last = self._shown.get(key, (-math.inf, "", False))
         is_news = arrived >= before + PLAIN_PERIOD or state != tuple(last)
@@ -87,20 +81,23 @@ class Display:
 class JointTable:
     """All joints as rich renders them: a line of numbers and some of words each.
 
-    A terminal too narrow for the numbers' columns has them in words. Where not all joints fit the terminal's
-    height [lines], the worst are shown.
+    Narrow terminals show the numbers in words. Where not all joints fit the height [lines], the worst are
+    shown.
     """
 
     def __init__(self, watch: Watch, now: float, height: float = math.inf) -> None:
         self._watch, self._views, self._height = watch, watch.view(now), height
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        self._console, self._width = console, min(options.max_width, _WIDEST)
-        self._is_narrow = self._width < NUMBERS_WIDTH + _LEAST_NAME
+        self._console, self._width, self._is_ascii = (
+            console,
+            min(options.max_width, _WIDEST),
+            options.ascii_only,
+        )
         self._name_width = max(_LEAST_NAME, self._width - NUMBERS_WIDTH)
-        self._is_ascii = options.ascii_only
+        self._is_narrow = self._width < NUMBERS_WIDTH + _LEAST_NAME
         self._overflow: OverflowMethod = "crop" if self._is_ascii else "ellipsis"
-        lines = self._lines() if self._views else [Text(line) for line in waiting(self._watch)]
+        lines = self._lines() if self._views else [Text(line) for line in _waiting(self._watch)]
         for line in lines:
             line.plain = _encodable(line.plain, options.encoding)
             line.no_wrap, line.overflow = True, self._overflow
@@ -117,11 +114,10 @@ class JointTable:
         return [*self._wrapped([self._title()]), *([] if self._is_narrow else above), *shown, *remarks]
 
     def _wrapped(self, lines: Sequence[Text]) -> list[Text]:
-        """Lines broken between words where they are longer than the table is wide."""
         return [part for line in lines for part in line.wrap(self._console, self._width)]
 
     def _fitting(self, blocks: Sequence[Sequence[Text]]) -> list[int]:
-        """Which joints are shown: all, or the worst for which there is room, in their order."""
+        """Indices of the joints shown: the worst that fit, at least one."""
         room, kept = self._height - _LINES_ABOUT, list[int]()
         for index in sorted(range(len(blocks)), key=lambda i: -self._views[i].level):
             room -= len(blocks[index])
@@ -138,10 +134,9 @@ class JointTable:
         return title.append(f"{faulty} with a fault" if faulty else "no fault", _STYLES[2 if faulty else 0])
 
     def _joint(self, view: JointView, is_shared: bool) -> list[Text]:
-        """Numbers; what is wrong, a line a statement; bookkeeping with the curve; the last verdict.
+        """Numbers, what is wrong, bookkeeping with the curve, the last verdict.
 
-        Where nothing is wrong the second and the third are one. Where the joint's name is shared, the
-        bookkeeping begins with its node.
+        The node stands first in the bookkeeping where the joint's name is shared.
         """
         if self._is_narrow:
             return self._wrapped([Text(plain_line(view), _style(view))])
@@ -151,23 +146,19 @@ class JointTable:
         if view.is_silent:
             line.stylize(_GREY)
         first, *rest = view.status.message.split("; ", _MOST_STATEMENTS - 1)
-        lines = [shown_text(text) for text in (_verdict(view, first), *rest)]
-        verdict, *why = (Text("  ").append(text, _style(view)) for text in lines)
-        more = [_node(view)] * is_shared + _order(view) + _bookkeeping(view)
-        details = Text("  ").append(", ".join(map(shown_text, more)), _GREY)
-        is_wrong = view.level or view.is_silent
-        words = [verdict, *why, details] if is_wrong else [verdict.append(details)]
-        room = min(_LONGEST_CURVE, self._width - words[-1].cell_len - 2)
-        if room >= _SHORTEST_CURVE:
+        words = [Text("  ").append(shown_text(t), _style(view)) for t in (_verdict(view, first), *rest)]
+        details = ", ".join(map(shown_text, [_node(view)] * is_shared + _order(view) + _bookkeeping(view)))
+        words.append(Text("  ").append(details, _GREY))
+        if not (view.level or view.is_silent):
+            words = [words[0].append(words[-1])]
+        if (room := min(_LONGEST_CURVE, self._width - words[-1].cell_len - 2)) >= _SHORTEST_CURVE:
             curve = spark(view.residuals, room, self._is_ascii)
             words[-1].append("  ").append(curve, _GREY if view.is_stale else "cyan")
         words += [Text("  ").append(shown_text(text)) for text in _diagnosed(view)]
         return [line, *self._wrapped(words)]
 
     def _remarks(self, hidden: int) -> list[Text]:
-        found = []
-        if hidden:
-            found.append(f"{hidden} more joints have no room here: --joint chooses")
+        found = [f"{hidden} more joints have no room here: --joint chooses"] * (hidden > 0)
         found += [f"{node} {answer}" for node, answer in sorted(self._watch.answers.items())]
         if missing := self._watch.missing():
             found.append(f"not reported: {', '.join(missing)}")
@@ -186,8 +177,8 @@ def _encodable(text: str, encoding: str) -> str:
     return known.encode(encoding, "backslashreplace").decode(encoding)
 
 
-def waiting(watch: Watch) -> list[str]:
-    """What is waited for and what was seen instead."""
+def _waiting(watch: Watch) -> list[str]:
+    """Topic and joints that are awaited, and what was seen instead."""
     what = f" of {', '.join(watch.joints)}" if watch.joints else ""
     topics = ", ".join(sorted({node.topic for node in watch.wanted_nodes()})) or DEFAULT_TOPIC
     lines = [f"waiting for {topics}{what} ...", *(f"  {found}" for found in watch.explanation())]
@@ -207,7 +198,7 @@ def plain_line(view: JointView) -> str:
 
 
 def _verdict(view: JointView, said: str) -> str:
-    """Fault code, what is said of it, the other codes, and whether reports have stopped."""
+    """Fault code, message, the other codes, and whether reports have stopped."""
     silent = f"no report for {view.age:.0f} s; the last: " if view.is_silent else ""
     message = f" {said}" if said not in ("", view.code) else ""
     others = [code for code in view.text("fault_codes").split() if code != view.code]
@@ -216,12 +207,11 @@ def _verdict(view: JointView, said: str) -> str:
 
 
 def _order(view: JointView) -> list[str]:
-    """What repeats in the residual of a joint that has no fault, and may have none."""
+    """The order that repeats in the residual of a joint without a fault."""
     if view.level or view.text("residual_order_repeats") != "true":
         return []
-    size, limit = (
-        shown_number(view.number(f"residual_order_{key}_arcsec"), 1) for key in ("amplitude", "limit")
-    )
+    values = (view.number(f"residual_order_{key}_arcsec") for key in ("amplitude", "limit"))
+    size, limit = (shown_number(value, 1) for value in values)
     frame, _, number = view.text("residual_order").partition(" ")
     return [f"residual repeats {number}x per {frame} turn: {size} of {limit} arcsec allowed"]
 
@@ -240,11 +230,11 @@ def _diagnosed(view: JointView) -> list[str]:
 
 
 def _shown_name(view: JointView) -> str:
-    """The joint; its node only where there may be another such joint."""
+    """The joint, with its namespace where its node is known."""
     namespace = view.nodes[0].rpartition("/")[0].strip("/") if len(view.nodes) == 1 else ""
     return f"{namespace}/{view.name}" if namespace else view.name
 
 
 def _node(view: JointView) -> str:
-    """Who reports it, as far as that is known."""
+    """Nodes that may report it, or else the hardware_id or topic."""
     return " or ".join(view.nodes) or view.status.hardware_id or view.topic

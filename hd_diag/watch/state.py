@@ -1,4 +1,4 @@
-"""What a watcher knows of running nodes: last report of every joint, nodes in the graph, what is missing."""
+"""What a watcher knows of running nodes: last reports of every joint, nodes in the graph, what is missing."""
 
 from __future__ import annotations
 
@@ -7,33 +7,31 @@ import statistics
 from collections import deque
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 from hd_diag.formatting import json_ready, listed
 
 PREFIX = "hd_diag: "
-"""What the names of this package's statuses begin with; the joint follows."""
-
-LEVELS = ("ok", "warn", "error", "stale")
-"""Names of the levels of a diagnostic_msgs/DiagnosticStatus."""
-
+"""Start of the names of this package's statuses; the joint follows."""
 DEFAULT_TOPIC = "/diagnostics"
 
-_HISTORY = 240  # residuals kept of a joint, for its curve
-_PERIODS = 20  # times between reports whose median is the usual one
-_SILENT_PERIODS = 3.0  # usual periods without a report after which a joint is silent
-_SILENT = 3.0  # and the least such time [s]
-# What a hostile sender can make this process keep.
-_MOST_JOINTS = 1024
-_MOST_OTHERS = 32
-_MOST_VALUES = 256
-_LONGEST = 2000  # of a text [characters]
-_LONGEST_WHOLE = 16  # digits, and one, that every reader of JSON keeps
+_LEVELS = ("ok", "warn", "error", "stale")  # of a diagnostic_msgs/DiagnosticStatus
+_HISTORY = 240  # reports kept of a joint, for its curve
+_PERIODS = 20  # last times between reports; their median is the usual one
+_SILENT_PERIODS, _SILENT = 3.0, 3.0  # a joint is silent after so many usual periods and seconds
+_MOST_JOINTS, _MOST_OTHERS, _MOST_VALUES, _LONGEST = (
+    1024,
+    32,
+    256,
+    2000,
+)  # a hostile sender cannot fill memory
+_LARGEST_WHOLE = 1e15  # every reader of JSON keeps such a whole number
 _NAMES_SHOWN = 5
 
 
 class ReportedStatus(NamedTuple):
-    """A diagnostic_msgs/DiagnosticStatus: name, level, message, values, and whose it is."""
+    """A diagnostic_msgs/DiagnosticStatus."""
 
     name: str
     level: int
@@ -43,12 +41,12 @@ class ReportedStatus(NamedTuple):
 
     @property
     def joint(self) -> str:
-        """What follows the prefix in the name."""
+        """The part of the name after the prefix."""
         return self.name[len(PREFIX) :]
 
     @property
     def node(self) -> str:
-        """The node that the hardware_id, ``<node>/<joint>``, names; empty where it names none."""
+        """The node named by the hardware_id ``<node>/<joint>``; empty where it names none."""
         tail = f"/{self.joint}"
         return self.hardware_id.removesuffix(tail) if self.hardware_id.endswith(tail) else ""
 
@@ -59,10 +57,7 @@ class ReportedStatus(NamedTuple):
 
 
 class NodeSeen(NamedTuple):
-    """A node of this package in the ROS graph: name with namespace, topic of its diagnostics, joints.
-
-    The joints are those that its topics name; none where they are remapped.
-    """
+    """A node of this package in the ROS graph; its topics name its joints unless they are remapped."""
 
     name: str
     topic: str
@@ -70,12 +65,7 @@ class NodeSeen(NamedTuple):
 
 
 class JointView(NamedTuple):
-    """A joint at one moment.
-
-    The nodes that may report it are several where no hardware_id tells them apart. `age` is the time since
-    the last status [s]; the joint is silent where no report came for far longer than usual. `residuals` are
-    the rms residuals of the last reports [arcsec].
-    """
+    """A joint at one moment: nodes that may report it, age of its last status [s], rms residuals [arcsec]."""
 
     name: str
     topic: str
@@ -91,17 +81,17 @@ class JointView(NamedTuple):
 
     def number(self, key: str) -> float:
         """A value as a number; nan where there is none."""
-        return as_number(self.text(key))
+        return _number(self.text(key))
 
     @property
     def level(self) -> int:
-        """As in DiagnosticStatus: 0 where nothing is wrong."""
+        """Level of a DiagnosticStatus; 0 means that nothing is wrong."""
         return self.status.level
 
     @property
     def code(self) -> str:
-        """Fault code; of one who reports none, the name of the level."""
-        return self.text("fault_code") or level_name(self.level).upper()
+        """Fault code, or else the level's name."""
+        return self.text("fault_code") or _level_name(self.level).upper()
 
     @property
     def is_stale(self) -> bool:
@@ -109,26 +99,27 @@ class JointView(NamedTuple):
         return self.is_silent or "STALE" in self.text("fault_codes", self.code).split()
 
 
-@dataclass
-class _Reports:
-    """State of a joint between its reports: the last status, when it came, periods and residuals."""
+class _Reports(NamedTuple):
+    """Last status of a joint, and of every report its arrival [s] and rms residual [arcsec]."""
 
     status: ReportedStatus
-    arrived: float
-    periods: deque[float] = field(default_factory=lambda: deque(maxlen=_PERIODS))
-    residuals: deque[float] = field(default_factory=lambda: deque(maxlen=_HISTORY))
+    history: deque[tuple[float, float]]
+
+    def age(self, now: float) -> float:
+        return max(0.0, now - self.history[-1][0])
 
     def is_silent(self, now: float) -> bool:
-        usual = statistics.median(self.periods) if self.periods else 0.0
-        return now - self.arrived > max(_SILENT, _SILENT_PERIODS * usual)
+        arrivals = [arrived for arrived, _ in self.history][-_PERIODS - 1 :]
+        usual = statistics.median(b - a for a, b in pairwise(arrivals)) if len(arrivals) > 1 else 0.0
+        return self.age(now) > max(_SILENT, _SILENT_PERIODS * usual)
 
 
 @dataclass
 class Watch:
-    """State of a watcher, of joints and of nodes in or below namespaces; where none is asked for, of all.
+    """State of a watcher. It shows all joints and nodes, or those that are asked for.
 
-    The nodes are all in the graph now, `others` are names of statuses that are not this package's, `messages`
-    counts the DiagnosticArrays that came, `answers` are those of nodes that were asked for a diagnosis.
+    `nodes` are in the graph now, `others` are names of other statuses, `messages` counts DiagnosticArrays,
+    `answers` come from nodes that were asked for a diagnosis.
     """
 
     joints: Collection[str] = ()
@@ -148,6 +139,13 @@ class Watch:
             elif (name := _cut(status.name)) not in self.others and len(self.others) < _MOST_OTHERS:
                 self.others.append(name)
 
+    def _take_joint(self, topic: str, status: ReportedStatus, now: float) -> None:
+        key = topic, status.hardware_id, status.joint
+        if key in self._reports or len(self._reports) < _MOST_JOINTS:
+            history = self._reports[key].history if key in self._reports else deque(maxlen=_HISTORY)
+            history.append((now, _number(status.values.get("residual_rms_arcsec", ""))))
+            self._reports[key] = _Reports(status, history)
+
     def wanted_nodes(self) -> list[NodeSeen]:
         """Nodes asked for that are in the graph."""
         return [node for node in self.nodes if self._is_wanted(node.name)]
@@ -156,95 +154,56 @@ class Watch:
         """The joints asked for that were reported, by node and name, at a time [s]."""
         views = []
         for (topic, _, joint), reports in self._reports.items():
-            nodes = tuple(self._senders(topic, reports.status))
+            status, nodes = reports.status, tuple(self._senders(topic, reports.status))
             is_wanted = not self.namespaces or any(map(self._is_wanted, nodes))
             if is_wanted and (not self.joints or joint in self.joints):
-                age, residuals = max(0.0, now - reports.arrived), tuple(reports.residuals)
-                views.append(
-                    JointView(joint, topic, nodes, reports.status, age, reports.is_silent(now), residuals)
-                )
+                residuals = tuple(residual for _, residual in reports.history)
+                age, is_silent = reports.age(now), reports.is_silent(now)
+                views.append(JointView(joint, topic, nodes, status, age, is_silent, residuals))
         return sorted(views, key=lambda view: (view.nodes, view.topic, view.name, view.status.hardware_id))
 
     def missing(self) -> list[str]:
-        """Joints that are asked for, or that a node asked for has, and that were not reported yet."""
+        """Joints that were asked for, or belong to a node asked for, and were not reported yet."""
         views = self.view(0.0)
         names = {view.name for view in views}
         if self.joints:
             return [joint for joint in self.joints if joint not in names]
         reported = {(name, view.topic, view.name) for view in views for name in view.nodes}
-        return [
-            f"{node.name} {joint}" if joint in names else joint
-            for node in self.wanted_nodes()
-            for joint in sorted(node.joints)
-            if (node.name, node.topic, joint) not in reported
-        ]
+        wanted = [(node, joint) for node in self.wanted_nodes() for joint in sorted(node.joints)]
+        absent = [(node.name, joint) for node, joint in wanted if (*node[:2], joint) not in reported]
+        return [f"{node} {joint}" if joint in names else joint for node, joint in absent]
 
     def explanation(self) -> list[str]:
         """What was seen instead of what was asked for, one sentence each."""
-        there, wanted = (_listed(node.name for node in nodes) for nodes in (self.nodes, self.wanted_nodes()))
+        there, wanted = (_listed([n.name for n in nodes]) for nodes in (self.nodes, self.wanted_nodes()))
         found = [f"{wanted} is there" if wanted else "no hd_diag node is in the ROS graph"]
         if there and not wanted:
             found = [f"no hd_diag node in {_listed(self.namespaces)}; there is {there}"]
         if self.joints and self._reports:
-            found.append(f"joints reported: {_listed({joint for _, _, joint in self._reports})}")
+            found.append(f"joints reported: {_listed(sorted({joint for _, _, joint in self._reports}))}")
         if self.others:
             found.append(f"other diagnostics: {_listed(self.others)}")
-        elif not self.messages:
-            found.append("no diagnostics at all")
-        return found
-
-    def _take_joint(self, topic: str, status: ReportedStatus, now: float) -> None:
-        key = topic, status.hardware_id, status.joint
-        reports = self._reports.get(key)
-        if reports is not None:
-            reports.periods.append(now - reports.arrived)
-            reports.status, reports.arrived = status, now
-        elif len(self._reports) < _MOST_JOINTS:
-            reports = self._reports[key] = _Reports(status, now)
-        else:
-            return
-        reports.residuals.append(as_number(status.values.get("residual_rms_arcsec", "")))
+        return found if self.others or self.messages else [*found, "no diagnostics at all"]
 
     def _is_wanted(self, name: str) -> bool:
         below = [f"/{namespace.strip('/')}/".replace("//", "/") for namespace in self.namespaces]
         return not below or name.startswith(tuple(below))
 
     def _senders(self, topic: str, status: ReportedStatus) -> list[str]:
-        """Names of the nodes that may have sent a status: the one it names, or all that the graph leaves."""
+        """Nodes that may have sent a status: the one it names, or all on the topic with such a joint."""
         if status.node:
             return [status.node]
         on_topic = [node for node in self.nodes if node.topic == topic]
         return sorted(node.name for node in on_topic if not node.joints or status.joint in node.joints)
 
 
-def as_number(text: str) -> float:
-    """A text as a number; nan where it is none."""
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
-
-
-def level_name(level: int) -> str:
-    """Name of a DiagnosticStatus's level."""
-    return LEVELS[level] if level < len(LEVELS) else f"level {level}"
-
-
-def _cut(text: str) -> str:
-    return text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"
-
-
-def _listed(names: Iterable[str]) -> str:
-    return listed(list(names) if isinstance(names, (list, tuple)) else sorted(names), _NAMES_SHOWN)
-
-
 def as_json(watch: Watch, now: float) -> dict[str, Any]:
-    """Everything that is known at a time [s], schema ``hd_diag/watch/1``; what looks like a number is one."""
-    wanted = watch.wanted_nodes()
+    """Everything known at a time [s], schema ``hd_diag/watch/1``; numbers in texts become numbers."""
+    nodes = [{**node._asdict(), "joints": sorted(node.joints)} for node in watch.wanted_nodes()]
     content = {
         "schema": "hd_diag/watch/1",
-        "nodes": [{"node": n.name, "topic": n.topic, "joints": sorted(n.joints)} for n in wanted],
-        "joints": list(map(_joint_json, watch.view(now))),
+        "nodes": [{"node": node.pop("name"), **node} for node in nodes],
+        "joints": [_joint_json(view) for view in watch.view(now)],
         "missing": watch.missing(),
         "others": watch.others,
     }
@@ -257,7 +216,7 @@ def _joint_json(view: JointView) -> dict[str, Any]:
         "hardware_id": view.status.hardware_id,
         "nodes": view.nodes,
         "topic": view.topic,
-        "level": level_name(view.level),
+        "level": _level_name(view.level),
         "fault_code": view.code,
         "message": view.status.message,
         "stale": view.is_stale,
@@ -267,12 +226,30 @@ def _joint_json(view: JointView) -> dict[str, Any]:
     }
 
 
-def _json_value(text: str) -> Any:
+def _json_value(text: str) -> bool | int | float | str:
     if text in ("true", "false"):
         return text == "true"
-    if len(text) < _LONGEST_WHOLE and text.isascii() and text.isdigit():
-        return int(text)
+    try:
+        number = float(text)
+    except ValueError:
+        return text
+    return int(number) if number.is_integer() and abs(number) < _LARGEST_WHOLE else number
+
+
+def _number(text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        return text
+        return math.nan
+
+
+def _level_name(level: int) -> str:
+    return _LEVELS[level] if level < len(_LEVELS) else f"level {level}"
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"
+
+
+def _listed(names: Collection[str]) -> str:
+    return listed(list(names), _NAMES_SHOWN)
