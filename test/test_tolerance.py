@@ -168,7 +168,15 @@ def value(criterion: str, found: EccentricityLimit, eccentricity: float) -> floa
     return float(getattr(state, name)[0])
 
 
-@pytest.mark.parametrize("without", [(), ("overlap",), NAMES])
+@pytest.mark.parametrize(
+    "without",
+    [
+        pytest.param((), marks=pytest.mark.slow),
+        ("load_concentration", "transmission_error"),
+        ("load_concentration", "transmission_error", "overlap"),
+        NAMES,
+    ],
+)
 def test_what_is_allowed_is_the_first_limit_of_all(without: tuple[str, ...]) -> None:
     """As the study finds it by solving for every one; without those that are out of reach."""
     limits = LIMITS | dict.fromkeys(without, 1e9)

@@ -6,6 +6,7 @@ import cmath
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -113,8 +114,8 @@ def first_excess(
     comes and goes within a step is missed.
     """
     search = _Search(drive, cup_torque, criterion)
-    eccentricity = np.linspace(0.0, largest, STEPS + 1)
-    scanned = np.stack((eccentricity, [search.scan(e)[search.index] for e in eccentricity]))
+    eccentricity, values = _scanned(drive, cup_torque, largest)
+    scanned = np.stack((eccentricity, values[search.index]))
     found = search.exceeded(limit, scanned)
     worst = search.worst(found if math.isfinite(found) else largest)
     return EccentricityLimit(criterion, limit, found, worst, search.worst(0.0).value, scanned)
@@ -128,8 +129,7 @@ def allowed(
     Limits by the names of the criteria. None where none is reached.
     """
     searches = [_Search(drive, cup_torque, name) for name in NAMES]
-    eccentricity = np.linspace(0.0, largest, STEPS + 1)
-    values = np.stack([searches[0].scan(e) for e in eccentricity], axis=1)
+    eccentricity, values = _scanned(drive, cup_torque, largest)
     above = [row > limits[name] for row, name in zip(values, NAMES, strict=True)]
     first = [int(np.argmax(one)) if one.any() else STEPS for one in above]
     least = None
@@ -141,6 +141,13 @@ def allowed(
         if math.isfinite(found) and (least is None or found < least[0]):
             least = found, NAMES[k]
     return least
+
+
+@lru_cache(maxsize=4)  # the criteria of a torque are asked for one after the other
+def _scanned(drive: Drive, cup_torque: float, largest: float) -> tuple[Floats, Floats]:
+    """Eccentricities (STEPS + 1,) [m] and the worst of all criteria at each (6, STEPS + 1)."""
+    search, eccentricity = _Search(drive, cup_torque, NAMES[0]), np.linspace(0.0, largest, STEPS + 1)
+    return eccentricity, np.stack([search.scan(e) for e in eccentricity], axis=1)
 
 
 def across_long_axis(drive: Drive, largest: float) -> tuple[float, float]:
