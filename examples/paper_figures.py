@@ -22,7 +22,7 @@ from scipy.optimize import brentq
 
 from hd_diag.arrays import Floats
 from hd_diag.drive import Drive, MeshState, mesh_state
-from hd_diag.model.neutral_curve import tooth_axes
+from hd_diag.model.neutral_curve import NeutralCurve, tooth_axes
 from hd_diag.model.transmission_error import Kinematics
 from hd_diag.report.pictures.canvas import DASHES, INK, SERIES, drawn, sheet, titled, turn
 
@@ -53,12 +53,15 @@ class Claim(NamedTuple):
 class Study(NamedTuple):
     """What is drawn: eccentricities [m], their direction from the long axis [rad], torque [N m] (0: rated).
 
-    The claims are the paper's: they are told of its own arrangement alone.
+    The section is counted from the cup's bottom, from 0; without one, teeth are those of the whole width and
+    the neutral layer that of the middle. The claims are the paper's: they are told of its own arrangement
+    alone.
     """
 
     sizes: Floats = _SIZES
     direction: float = 0.5 * np.pi
     torque: float = 0.0
+    section: int | None = None
 
     @property
     def is_published(self) -> bool:
@@ -179,19 +182,26 @@ def neutral_layer(drive: Drive, study: Study = PAPER) -> NeutralLayer:
     stations = np.radians([0.0, 45.0, 90.0, 135.0])
     place = np.linspace(-np.pi / 2, np.pi / 2, 181)
     towards = study.sizes * np.exp(1j * study.direction)
-    pair = 0.0, towards[-1]
-    both = np.stack([_radial(drive, place, stations[:, None] - place, e) for e in pair])
+    pair, curve, leant = (0.0, towards[-1]), *_layer(drive, study.section)
+    both = np.stack([_radial(curve, place, stations[:, None] - place, e + leant) for e in pair])
     around = np.linspace(0.0, _TURN, 361)
-    rows = np.stack([_radial(drive, around, np.zeros(around.size), e) for e in (0.0, *towards)])
+    rows = np.stack([_radial(curve, around, np.zeros(around.size), e + leant) for e in (0.0, *towards)])
     change = rows[1:] - rows[0]
-    where = np.mod(tooth_axes(drive.mesh.geometry.curve, around)[0], _TURN)
+    where = np.mod(tooth_axes(curve, around)[0], _TURN)
     claims = _motion_claims(stations, both, where, change[-1])
     return NeutralLayer(stations, place, both, where, change, study.sizes, claims)
 
 
-def _radial(drive: Drive, place: Floats, turned: Floats, eccentricity: complex) -> Floats:
+def _layer(drive: Drive, section: int | None) -> tuple[NeutralCurve, complex]:
+    """Neutral curve of a section, else of the middle, and where the tilt alone puts its centre [m]."""
+    geometry = drive.mesh.geometry
+    if section is None:
+        return geometry.curve, 0.0
+    return geometry.section_curves[section], drive.mesh.tilt * float(geometry.section_places[section])
+
+
+def _radial(curve: NeutralCurve, place: Floats, turned: Floats, eccentricity: complex) -> Floats:
     """Radial displacement of points of the layer [m] at places from the long axis, it being turned [rad]."""
-    curve = drive.mesh.geometry.curve
     angle, height, offset = tooth_axes(curve, place)
     point = (height + 1j * offset) * np.exp(1j * (angle + turned)) + eccentricity
     return np.asarray(np.abs(point) - curve.radius)
@@ -223,12 +233,12 @@ def teeth_at_once(drive: Drive, study: Study = PAPER) -> Engagement:
     rows, teeth = _engaged(drive), drive.mesh.geometry.flexspline_teeth
     tooth = np.where(rows > teeth // 2, rows - teeth, rows)
     towards = study.sizes * np.exp(1j * study.direction)
-    states = [_moment(drive, e, drive.rated_torque) for e in towards]
-    backlash = np.stack([_free(drive, e) for e in towards])
+    states = [_moment(drive, e, drive.rated_torque, study.section) for e in towards]
+    backlash = np.stack([_free(drive, e, study.section) for e in towards])
     load = np.stack([state.load[0].sum(axis=0) for state in states])
     claims = (
         *_backlash_claims(tooth, backlash, teeth),
-        _first_claim(drive),
+        _first_claim(drive, study.section),
         _load_claim(drive, states, load),
     )
     return Engagement(
@@ -253,8 +263,12 @@ def _backlash_claims(tooth: npt.NDArray[np.int64], backlash: Floats, teeth: int)
     )
 
 
-def _first_claim(drive: Drive) -> Claim:
-    first, shift = first_interference(drive) / _MICROMETRE, _published_datum(drive) / _MICROMETRE
+def _first_claim(drive: Drive, section: int | None) -> Claim:
+    least = float(np.nanmin(_free(drive, 0.0, section))) / _MICROMETRE
+    if least < 0.0:
+        return Claim("c", f"Teeth interfere without eccentricity, by {-least:.1f} µm.", False)
+    first = first_interference(drive, section) / _MICROMETRE
+    shift = _published_datum(drive, section) / _MICROMETRE
     published = _PUBLISHED / _MICROMETRE
     if not np.isfinite(first + shift):
         text = f"Interference does not first appear at an eccentricity near {published:.1f} µm."
@@ -268,20 +282,19 @@ def _first_claim(drive: Drive) -> Claim:
     )
 
 
-def first_interference(drive: Drive) -> float:
+def first_interference(drive: Drive, section: int | None = None) -> float:
     """Eccentricity at which a tooth of the engagement region has no backlash left [m]; nan where none has."""
-    return _root(lambda e: float(np.nanmin(_free(drive, 1j * e))), 0.0, _MOST)
+    return _root(lambda e: float(np.nanmin(_free(drive, 1j * e, section))), 0.0, _MOST)
 
 
-def _published_datum(drive: Drive) -> float:
+def _published_datum(drive: Drive, section: int | None) -> float:
     """By how much the slots' datum must move for the published first interference [m]; nan if too far."""
     geometry = drive.mesh.geometry
 
     def least(shift: float) -> float:
         moved = replace(geometry, circular_spline_datum=geometry.circular_spline_datum + shift)
-        return float(
-            np.nanmin(_free(replace(drive, mesh=replace(drive.mesh, geometry=moved)), 1j * _PUBLISHED))
-        )
+        there = replace(drive, mesh=replace(drive.mesh, geometry=moved))
+        return float(np.nanmin(_free(there, 1j * _PUBLISHED, section)))
 
     return _root(least, -_DATUM_REACH, _DATUM_REACH)
 
@@ -311,9 +324,10 @@ def _load_claim(drive: Drive, states: list[MeshState], load: Floats) -> Claim:
 def tooth_over_time(drive: Drive, study: Study = PAPER) -> Engagement:
     """Fig. 7 for a drive."""
     backlash, load = (
-        np.stack(rows) for rows in zip(*(_passage(drive, -e) for e in study.sizes), strict=True)
+        np.stack(rows)
+        for rows in zip(*(_passage(drive, -e, study.section) for e in study.sizes), strict=True)
     )
-    near = _passage(drive, study.sizes[-1])
+    near = _passage(drive, study.sizes[-1], study.section)
     least, most = np.nanmin(backlash, axis=1) / _MICROMETRE, load.max(axis=1)
     nearest, greatest = float(np.nanmin(near[0])) / _MICROMETRE, float(near[1].max())
     claims = (
@@ -333,10 +347,10 @@ def tooth_over_time(drive: Drive, study: Study = PAPER) -> Engagement:
     return Engagement(study.sizes, _PASSAGE, backlash, load, near, drive.rated_torque, claims)
 
 
-def _passage(drive: Drive, eccentricity: float) -> tuple[Floats, Floats]:
+def _passage(drive: Drive, eccentricity: float, section: int | None) -> tuple[Floats, Floats]:
     """Backlash [m] and load [N] of tooth 0 over a lobe's passage, the eccentricity along the tooth."""
     placed = _placed(drive, complex(eccentricity, 0.0), 0.0)
-    state = mesh_state(placed, _PASSAGE, np.full(_PASSAGE.size, drive.rated_torque))
+    state = _seen(mesh_state(placed, _PASSAGE, np.full(_PASSAGE.size, drive.rated_torque)), section)
     return np.fmin(state.backlash[:, 0, 0], state.backlash[:, 1, 0]), state.load[:, :, 0].sum(axis=1)
 
 
@@ -346,10 +360,17 @@ def _placed(drive: Drive, eccentricity: complex, arc_offset: float) -> Drive:
     return Drive(mesh, Kinematics(-mesh.geometry.reduction), drive.rated_torque)
 
 
-def _moment(drive: Drive, eccentricity: complex, torque: float) -> MeshState:
+def _moment(drive: Drive, eccentricity: complex, torque: float, section: int | None = None) -> MeshState:
     """The paper's initial moment: tooth 0 stays on the axis, so the layer's arc follows the eccentricity."""
     placed = _placed(drive, eccentricity, -eccentricity.imag)
-    return mesh_state(placed, np.zeros(1), np.array([torque]))
+    return _seen(mesh_state(placed, np.zeros(1), np.array([torque])), section)
+
+
+def _seen(state: MeshState, section: int | None) -> MeshState:
+    """The teeth of one section."""
+    if section is None:
+        return state
+    return replace(state, backlash=state.section_backlash[:, section], load=state.section_load[:, section])
 
 
 def _engaged(drive: Drive) -> npt.NDArray[np.int64]:
@@ -359,9 +380,9 @@ def _engaged(drive: Drive) -> npt.NDArray[np.int64]:
     return np.arange(-reach, reach + 1) % teeth
 
 
-def _free(drive: Drive, eccentricity: complex) -> Floats:
+def _free(drive: Drive, eccentricity: complex, section: int | None = None) -> Floats:
     """Backlash of the teeth near the long axis at that moment: the lesser of their two flanks [m]."""
-    backlash = _moment(drive, eccentricity, 0.0).backlash[0]
+    backlash = _moment(drive, eccentricity, 0.0, section).backlash[0]
     return np.asarray(np.fmin(backlash[0], backlash[1])[_engaged(drive)])
 
 

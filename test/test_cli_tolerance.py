@@ -14,7 +14,7 @@ from hd_diag.config.defaults import EXAMPLE
 from hd_diag.drive import mesh_state
 from hd_diag.tolerance.assembly import FACTORS, Share
 from hd_diag.tolerance.evaluation import NAMES
-from hd_diag.tolerance.study import Question, Yield, limits_and_spreads, yielded
+from hd_diag.tolerance.study import CHARTED, Question, Yield, limits_and_spreads, yielded
 
 QUICK = ("tolerance", "--samples", "12", "--sensitivity-samples", "2", "--jobs", "1")
 
@@ -105,11 +105,42 @@ def test_svg_and_several_torques_without_assemblies(tmp_path: Path) -> None:
     result = hd_diag("tolerance", *none, *torques, "--json", file, "--figure", svg)
     found = json.loads(file.read_text())
     assert found["torques"] == [14.0, -56.0]
-    assert (found["assemblies"], found["sensitivity"], found["allowed"]) == (None, None, None)
+    assert {found[name] for name in ("assemblies", "sensitivity", "allowed", "tilt")} == {None}
     assert {limit["eccentricity"] for row in found["limits"] for limit in row["criteria"].values()} == {None}
     assert "not reached" in result.stdout
     assert "No limit is reached." in result.stdout
     assert "eccentricity" in svg.read_text()
+
+
+def test_a_drive_in_sections_has_limits_of_its_tilt_and_a_chart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A coarse search up to 1 um, within which only what coning brings is too much."""
+    coarse = {"STEPS": 2, "CHART_STEPS": 2, "_ROUNDS": 1, "_SEARCH": (12, 2), "_SEARCH_OF_JUMPS": (12, 2)}
+    for name, value in coarse.items():
+        monkeypatch.setattr(f"hd_diag.tolerance.limit.{name}", value)
+    config = config_file(tmp_path, face_width=11e-3, cup_length=0.04, sections=2)
+    none = ("--samples", "0", "--sensitivity-samples", "0", "--jobs", "1", "--largest-um", "1")
+    svg, file = tmp_path / "a.svg", tmp_path / "a.json"
+    result = hd_diag(
+        "tolerance", *none, "--config", config, "--overlap-um", "1", "--json", file, "--figure", svg
+    )
+    assert (result.exit_code, result.stderr) == (0, "")
+    tilt = json.loads(file.read_text())["tilt"]
+    arm = 11e-3 / 2 / np.sqrt(3.0)  # of two Gauss-Legendre points
+    assert tilt["largest_tilt"] == pytest.approx(1e-6 / arm)
+    (row,) = tilt["limits"]
+    assert tuple(row["criteria"]) == NAMES
+    assert row["criteria"]["overlap"]["tilt"] == 0.0
+    assert row["criteria"]["peak_tooth_load"]["tilt"] is None
+    assert row["criteria"]["overlap"]["curve"]["tilt"][-1] == pytest.approx(tilt["largest_tilt"])
+    assert tilt["allowed"] == {"tilt": 0.0, "criterion": "overlap"}
+    assert set(tilt["chart"]["criteria"]) == set(CHARTED)
+    assert set(tilt["chart"]["criteria"]["peak_tooth_load"]["tilt"]) == {None}
+    assert "Limits of a tilt alone at 56 N m" in result.stdout
+    assert "[mrad]" in result.stdout
+    assert "Allowed without eccentricity: 0.000 mrad, by overlap" in result.stdout
+    assert "against it [mrad]" in svg.read_text()
 
 
 @pytest.mark.slow

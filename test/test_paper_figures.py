@@ -15,11 +15,12 @@ from reference import published
 from hd_diag.cli.examples import load_example
 from hd_diag.config.configuration import resolve
 from hd_diag.drive import Drive, mesh_state
+from hd_diag.model.mesh import Mesh
 from hd_diag.model.transmission_error import Kinematics
 from hd_diag.report.pictures.canvas import save
 
 ROOT = Path(__file__).resolve().parent.parent
-paper = load_example("paper_figures")
+paper, sections = load_example("paper_figures"), load_example("section_figures")
 
 
 def drive(datum: float = drives.PAPER.circular_spline_datum) -> Drive:
@@ -108,6 +109,61 @@ def test_figures_are_drawn_of_what_is_asked_with_their_data(tmp_path: Path) -> N
     for wrong in ("0,x", "-1", "1,2,3,4,5,6,7", "nan"):
         said = "--eccentricities-um takes one to 6 numbers"
         assert_one_line_error(hd_diag("figures", "--out", tmp_path, "--eccentricities-um", wrong), said)
+
+
+CUP = {"face_width": published.FACE_WIDTH, "cup_length": 40e-3}
+
+
+def coned(sections: int, **changes: complex) -> Drive:
+    mesh = Mesh(drives.geometry(sections=sections, **CUP), **changes)
+    return Drive(mesh, Kinematics(100.0), published.RATED_TORQUE)
+
+
+def test_sections_are_drawn_with_the_claims_at_the_middle_and_both_ends(tmp_path: Path) -> None:
+    """Least backlash of the brute force at L = 40 mm, from the bottom on."""
+    file, out = tmp_path / "cup.yaml", tmp_path / "out"
+    rows = {**CUP, "sections": 5}
+    text = "hd_diag:\n  ros__parameters:\n    joint_1:\n"
+    file.write_text(text + "".join(f"      {name}: {value}\n" for name, value in rows.items()))
+    result = hd_diag("figures", "--config", file, "--out", out, "--format", "png", "--eccentricities-um", "0")
+    assert (result.exit_code, result.stderr) == (0, "")
+    ends = ("", "_bottom", "_middle", "_open_end")
+    pictures = {f"figure_{number}{end}" for number in (5, 6, 7) for end in ends} | {"sections"}
+    assert {path.stem for path in out.glob("*.csv")} == pictures
+    assert {path.stem for path in out.glob("*.png")} == {*pictures, "drive"}
+    with (out / "sections.csv").open(encoding="utf-8") as lines:
+        names = lines.readline().rstrip().split(",")
+        table = np.loadtxt(lines, delimiter=",")
+    assert_allclose(np.nanmin(table[:, 1:6], axis=0) * 1e6, [-4.56, -2.09, 0.95, 3.32, 4.68], atol=0.03)
+    assert names[1] == "backlash at z = -4.984 mm [m]"
+    assert names[-1] == "load per width at z = 4.984 mm [N/m]"
+    for column, end in ((1, "bottom"), (3, "middle"), (5, "open_end")):
+        tooth = np.loadtxt(out / f"figure_6_{end}.csv", delimiter=",", skiprows=1)
+        assert_allclose(tooth[:, :2], table[:, [0, column]], rtol=1e-8)
+
+
+def test_loads_of_sections_over_the_width_are_the_whole_load() -> None:
+    cup = coned(3, tilt=1e-3)
+    found = sections.along_width(cup)
+    widths = cup.mesh.geometry.face_width * cup.mesh.geometry.section_weights
+    whole = paper.teeth_at_once(cup, paper.PAPER._replace(sizes=paper.PAPER.sizes[-1:]))
+    assert_allclose(widths @ found.load, whole.load[0], rtol=1e-12, atol=1e-12)
+    assert_allclose(np.fmin.reduce(found.backlash), whole.backlash[0], rtol=1e-12)
+
+
+def test_claims_hold_in_the_middle_of_a_cup_and_not_where_its_cone_presses() -> None:
+    """The middle of a cup is the paper's section; at the bottom teeth interfere by 4.56 um from the first."""
+    cup = coned(3)
+    bottom, middle = (
+        {each.name: each for each in sections.figures(cup)}[f"figure_6_{end}"] for end in ("bottom", "middle")
+    )
+    by_letter = {claim.letter: claim for claim in middle.claims}
+    plane = {claim.letter: claim for claim in paper.teeth_at_once(drive()).claims}
+    assert by_letter["c"] == plane["c"]
+    assert by_letter["b"] == plane["b"]
+    (told,) = (claim for claim in bottom.claims if claim.letter == "c")
+    assert not told.holds
+    assert re.fullmatch(r"Teeth interfere without eccentricity, by [34]\.\d µm\.", told.text)
 
 
 ENDS = {"svg": (b"<?xml", b"</svg>"), "png": (b"\x89PNG\r\n", b"IEND\xaeB`\x82"), "pdf": (b"%PDF-", b"%%EOF")}

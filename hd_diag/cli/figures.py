@@ -38,6 +38,8 @@ def figures(
     study = paper.PAPER._replace(**_asked(torque, eccentricities_um, direction_deg))
     try:
         entries = paper.figures(joint.drive, study)
+        if joint.drive.mesh.geometry.sections > 1:
+            entries += load_example("section_figures").figures(joint.drive, study)
     except ValueError as error:
         raise Problem(str(error)) from error
     drawing = out / f"drive.{format}"

@@ -1,4 +1,4 @@
-"""``hd-diag tolerance``: the eccentricity an assembly may have, and what a tolerance yields."""
+"""``hd-diag tolerance``: the eccentricity and tilt an assembly may have, and what a tolerance yields."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from hd_diag.process_pool import ProcessPool
 from hd_diag.tolerance import limit
 from hd_diag.tolerance.assembly import FACTORS
 from hd_diag.tolerance.evaluation import CRITERIA
-from hd_diag.tolerance.study import Question, Study, document, limits_and_spreads, study, yielded
+from hd_diag.tolerance.study import Question, Study, Tilts, document, limits_and_spreads, study, yielded
 
 
 def tolerance(
@@ -93,10 +93,15 @@ def _show(joint: str, found: Study) -> None:
         "teeth of both lobes."
     )
     for torque, row in zip(question.torque, found.limits, strict=True):
-        show_table(_limit_table(found, float(torque), row))
+        title, most = f"Limits at {torque:g} N m", question.largest * 1e6
+        show_table(
+            _limit_table(question, title, "[µm]", most, [(each, each.eccentricity * 1e6) for each in row])
+        )
     allowed = found.allowed
     least = f"Allowed: {allowed.eccentricity * 1e6:.2f} µm, by {allowed.criterion}" if allowed else None
     tell(least or "No limit is reached.")
+    if found.tilts is not None:
+        _show_tilts(question, found.tilts)
     if found.assemblies is not None:
         _show_assemblies(found)
     if found.sensitivity is not None:
@@ -116,16 +121,32 @@ def _um(eccentricity: float, question: Question) -> str:
     return f"more than {question.largest * 1e6:.3g} µm"
 
 
-def _limit_table(found: Study, torque: float, row: list[limit.EccentricityLimit]) -> Table:
-    columns = ("limit", "without", "at\n[µm]", "direction\n[rad]", "\n[deg]", "input\n[rad]")
-    table = number_table("criterion", *columns, title=f"Limits at {torque:g} N m")
-    for criterion, each in zip(CRITERIA, row, strict=True):
+def _show_tilts(question: Question, tilts: Tilts) -> None:
+    for torque, row in zip(question.torque, tilts.limits, strict=True):
+        title, most = f"Limits of a tilt alone at {torque:g} N m", tilts.largest * 1e3
+        show_table(_limit_table(question, title, "[mrad]", most, [(each, each.tilt * 1e3) for each in row]))
+    allowed = tilts.allowed
+    least = f"Allowed without eccentricity: {allowed.tilt * 1e3:.3f} mrad" if allowed else None
+    tell(f"{least}, by {allowed.criterion}" if allowed else "No limit is reached by a tilt alone.")
+
+
+def _limit_table(
+    question: Question,
+    title: str,
+    unit: str,
+    most: float,
+    row: list[tuple[limit.DisplacementLimit, float]],
+) -> Table:
+    """Limits with what reaches them, in its unit, and the most that was looked at."""
+    columns = ("limit", "without", f"at\n{unit}", "direction\n[rad]", "\n[deg]", "input\n[rad]")
+    table = number_table("criterion", *columns, title=title)
+    for criterion, (each, reaches) in zip(CRITERIA, row, strict=True):
         values = (f"{value * criterion.scale:.4g}" for value in (each.limit, each.without))
-        place: tuple[str, ...] = f"> {found.question.largest * 1e6:.4g}", "not reached"
+        place: tuple[str, ...] = f"> {most:.4g}", "not reached"
         if each.reached:
             toward, worst = each.worst.direction, each.worst.wave_generator_angle
-            angle = limit.input_angle(found.question.drive, worst)
-            at = f"{each.eccentricity * 1e6:.3f}"
+            angle = limit.input_angle(question.drive, worst)
+            at = f"{reaches:.3f}"
             place = at, f"{toward:.3f}", f"{math.degrees(toward):.1f}", f"{angle:.4f}"
         table.add_row(f"{criterion.name} [{criterion.shown}]", *values, *place)
     return table

@@ -75,12 +75,14 @@ def evaluate(
     displacement: Complexes,
     torque: Floats,
     slot_angle: Floats | None = None,
+    tilt: Complexes | None = None,
 ) -> Evaluation:
     """Quantities of a mesh at any number of moments; nan where no flank can bear the torque.
 
     The moments are wave generator angles theta_W [rad] and displacements of its centre in the housing, x + iy
     [m], each (n,); the mesh's own eccentricity and runout do not count. Torques are M on the cup (q,) [N m];
-    `slot_angle` (Z_G,) is by how much each slot stands counter-clockwise of its place [rad].
+    `slot_angle` (Z_G,) is by how much each slot stands counter-clockwise of its place [rad]. A `tilt` (n,)
+    takes the place of the mesh's own [rad].
 
     Notes
     -----
@@ -94,7 +96,9 @@ def evaluate(
     turn, center = contiguous(wave_generator_angle), np.ascontiguousarray(displacement, dtype=np.complex128)
     across: Floats = np.imag(center * np.exp(-1j * turn))
     slots = np.zeros(mesh.geometry.circular_spline_teeth) if slot_angle is None else contiguous(slot_angle)
-    geometry, loads = kernel.evaluate(mesh.data, turn, center, -across, slots, contiguous(torque))
+    leaning = np.full(turn.size, mesh.tilt) if tilt is None else np.ascontiguousarray(tilt)
+    leaning = leaning.astype(np.complex128, copy=False)
+    geometry, loads = kernel.evaluate(mesh.data, turn, center, leaning, -across, slots, contiguous(torque))
     gap, least, radius = geometry.T
     return Evaluation(-least, -gap * radius, *np.moveaxis(loads, 2, 0))
 
@@ -160,4 +164,5 @@ def warm_up() -> None:
 
     torsion.warm_up()
     row = np.empty(0)
-    kernel.evaluate(blank(), row, row.astype(np.complex128), row, row, row)
+    center = row.astype(np.complex128)
+    kernel.evaluate(blank(), row, center, center, row, row, row)

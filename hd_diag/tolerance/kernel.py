@@ -26,24 +26,31 @@ from hd_diag.model.kernel.poses import Teeth, place
 
 @entry_point
 def evaluate(
-    mesh: MeshData, turn: Floats, center: Complexes, anchor: Floats, slot_angle: Floats, torque: Floats
+    mesh: MeshData,
+    turn: Floats,
+    center: Complexes,
+    tilt: Complexes,
+    anchor: Floats,
+    slot_angle: Floats,
+    torque: Floats,
 ) -> tuple[Floats, Floats]:
     """Gap, least backlash and mean contact radius at lobe 0 (n, 3); `_load` at every torque (n, q, 4).
 
-    ``anchor`` (n,) is the arc offset at which the backlash counts [m], ``slot_angle`` (Z_G,) by how much each
-    slot stands counter-clockwise of its place [rad].
+    ``tilt`` (n,) takes the place of the mesh's, ``anchor`` (n,) is the arc offset at which the backlash
+    counts [m], ``slot_angle`` (Z_G,) by how much each slot stands counter-clockwise of its place [rad].
     """
     work, geometry = scratch(mesh), np.empty((turn.size, 3))
     loads, force = np.empty((turn.size, torque.size, 4)), np.empty((2, mesh.constants.flexspline_teeth))
     for i in range(turn.size):
-        found = flanks(mesh, turn[i], center[i], work)
+        leant = MeshData(mesh.constants, mesh.tables, mesh.compliance, mesh.arc_offset, tilt[i])
+        found = flanks(leant, turn[i], center[i], work)
         _turn(found.plus, work.teeth, slot_angle)
         _turn(found.minus, work.teeth, slot_angle)
         found = both(found.plus, found.minus)
         for j in range(torque.size):
             _load(mesh.compliance, work.teeth, found, torque[j], force, loads[i, j])
         geometry[i, 0] = found.high - found.low
-        held = MeshData(mesh.constants, mesh.tables, mesh.compliance, anchor[i], mesh.tilt)
+        held = MeshData(mesh.constants, mesh.tables, mesh.compliance, anchor[i], tilt[i])
         geometry[i, 1], geometry[i, 2] = _lobe(held, turn[i], center[i], slot_angle, work)
     return geometry, loads
 

@@ -1,4 +1,8 @@
-"""The eccentricity at which a criterion is first exceeded, over all directions and input angles."""
+"""The eccentricity or tilt at which a criterion is first exceeded, over all directions and input angles.
+
+A drive in sections may lean: what is looked for is then the displacement of the outermost section, of which a
+share comes from the tilt: 0 is an eccentricity alone, 1 a tilt alone, -0.5 half of each against each other.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +19,7 @@ from scipy.optimize import brentq
 
 from hd_diag.arrays import Complexes, Floats, Integers
 from hd_diag.drive import Drive
+from hd_diag.model.geometry import Geometry
 from hd_diag.model.mesh import Mesh, largest_displacement
 from hd_diag.model.torsion import torsion
 from hd_diag.tolerance.evaluation import CRITERIA, NAMES, evaluate, of_moments, reference_stiffness
@@ -26,7 +31,10 @@ FINE_STEPS = 16
 """Parts into which the step of the first excess is divided for a criterion that jumps."""
 
 ROOT_TOLERANCE = 1e-10
-"""To which the eccentricity of an excess is solved [m]."""
+"""To which the displacement of an excess is solved [m]."""
+
+CHART_STEPS = 24
+"""Steps of the displacement in a chart, between which it is straight."""
 
 # Nothing of a mesh changes when it is turned by a slot pitch together with its eccentricity. The worst is
 # therefore looked for over the eccentricity's angle from the long axis and the wave generator's in a pitch.
@@ -53,8 +61,8 @@ RESOLUTION = tuple(
 class Worst:
     """Greatest value of a criterion at an eccentricity, and where.
 
-    Direction of the eccentricity in the housing and wave generator angle theta_W [rad]; adding a slot pitch
-    to both gives as bad a moment.
+    Direction of the eccentricity, or of the tilt alone, in the housing and wave generator angle theta_W
+    [rad]; adding a slot pitch to both gives as bad a moment.
     """
 
     value: float
@@ -63,24 +71,26 @@ class Worst:
 
 
 @dataclass(frozen=True)
-class EccentricityLimit:
+class DisplacementLimit:
     """Where a criterion is first exceeded.
 
-    The largest eccentricity within the limit in all directions [m], nan if the limit is not reached; the
-    worst there, else at the largest one looked at; the value `without` eccentricity; `scanned` (2, STEPS +
-    1): eccentricities [m] and the values on a coarse grid of direction and angle.
+    The largest eccentricity [m] and tilt [rad] within the limit in all directions, nan if the limit is not
+    reached; the worst there, else at the largest one looked at; the value `without` both; `scanned` (2, STEPS
+    + 1): displacements of the outermost section [m], without tilt the eccentricities, and the values on a
+    coarse grid of direction and angle.
     """
 
     criterion: str
     limit: float
     eccentricity: float
+    tilt: float
     worst: Worst
     without: float
     scanned: Floats
 
     @property
     def reached(self) -> bool:
-        """Whether any eccentricity looked at exceeds the limit."""
+        """Whether anything looked at exceeds the limit."""
         return math.isfinite(self.eccentricity)
 
 
@@ -95,6 +105,15 @@ def largest_eccentricity(drive: Drive) -> float:
     return min(0.2 * geometry.module, _ROOM * largest_displacement(geometry)[0])
 
 
+def divided(geometry: Geometry, displacement: float, leaning: float) -> tuple[float, float]:
+    """Eccentricity [m] and tilt [rad] that displace the outermost section [m], with the tilt's share of it.
+
+    A negative share leans against the eccentricity. In one section nothing leans.
+    """
+    arm = float(np.abs(geometry.section_places).max())
+    return displacement * (1.0 - abs(leaning)), displacement * leaning / arm if leaning else 0.0
+
+
 def check_largest(drive: Drive, largest: float) -> None:
     """Raise ValueError for an eccentricity [m] that the geometry cannot have."""
     if not 0.0 < largest < math.inf:
@@ -103,22 +122,24 @@ def check_largest(drive: Drive, largest: float) -> None:
 
 
 def first_excess(
-    drive: Drive, cup_torque: float, criterion: str, limit: float, largest: float
-) -> EccentricityLimit:
-    """The eccentricity at which a criterion is first exceeded, looked for up to a `largest` one [m].
+    drive: Drive, cup_torque: float, criterion: str, limit: float, largest: float, leaning: float = 0.0
+) -> DisplacementLimit:
+    """The displacement at which a criterion is first exceeded, looked for up to a `largest` one [m].
 
-    The drive's own eccentricity does not count; its runout stays. The torque is that on the cup [N m].
+    `leaning` is the tilt's share of it. The drive's own eccentricity and tilt do not count; its runout stays.
+    The torque is that on the cup [N m].
 
-    The value need not rise with the eccentricity: of :data:`STEPS` steps the first that brings an excess is
+    The value need not rise with the displacement: of :data:`STEPS` steps the first that brings an excess is
     solved (Brent), for a criterion that jumps within one of its :data:`FINE_STEPS` parts. An excess that
     comes and goes within a step is missed.
     """
-    search = _Search(drive, cup_torque, criterion)
-    eccentricity, values = _scanned(drive, cup_torque, largest)
-    scanned = np.stack((eccentricity, values[search.index]))
+    search = _Search(drive, cup_torque, criterion, leaning)
+    sizes, values = _scanned(drive, cup_torque, largest, leaning)
+    scanned = np.stack((sizes, values[search.index]))
     found = search.exceeded(limit, scanned)
     worst = search.worst(found if math.isfinite(found) else largest)
-    return EccentricityLimit(criterion, limit, found, worst, search.worst(0.0).value, scanned)
+    both = divided(drive.mesh.geometry, found, leaning)
+    return DisplacementLimit(criterion, limit, *both, worst, search.worst(0.0).value, scanned)
 
 
 def allowed(
@@ -144,10 +165,10 @@ def allowed(
 
 
 @lru_cache(maxsize=4)  # the criteria of a torque are asked for one after the other
-def _scanned(drive: Drive, cup_torque: float, largest: float) -> tuple[Floats, Floats]:
-    """Eccentricities (STEPS + 1,) [m] and the worst of all criteria at each (6, STEPS + 1)."""
-    search, eccentricity = _Search(drive, cup_torque, NAMES[0]), np.linspace(0.0, largest, STEPS + 1)
-    return eccentricity, np.stack([search.scan(e) for e in eccentricity], axis=1)
+def _scanned(drive: Drive, cup_torque: float, largest: float, leaning: float = 0.0) -> tuple[Floats, Floats]:
+    """Displacements (STEPS + 1,) [m] and the worst of all criteria at each (6, STEPS + 1)."""
+    search, sizes = _Search(drive, cup_torque, NAMES[0], leaning), np.linspace(0.0, largest, STEPS + 1)
+    return sizes, np.stack([search.scan(size) for size in sizes], axis=1)
 
 
 def across_long_axis(drive: Drive, largest: float) -> tuple[float, float]:
@@ -186,24 +207,56 @@ def _crossing(
     return float(brentq(excess, fine[part - 1], fine[part], xtol=ROOT_TOLERANCE, rtol=1e-12))
 
 
-class _Search:
-    """One criterion of one drive at one torque."""
+def frontier(
+    drive: Drive, cup_torque: float, limits: Mapping[str, float], largest: float, leaning: float
+) -> dict[str, tuple[float, float]]:
+    """Eccentricity [m] and tilt [rad] at which each of some criteria is first exceeded, on a coarse grid.
 
-    def __init__(self, drive: Drive, cup_torque: float, criterion: str) -> None:
-        self.drive, self.torque = drive, np.array([cup_torque])
+    As :func:`first_excess` for limits by the names of criteria, but straight between :data:`CHART_STEPS`
+    displacements: for a chart. nan where a limit is not reached.
+    """
+    search = _Search(drive, cup_torque, NAMES[0], leaning)
+    sizes = np.linspace(0.0, largest, CHART_STEPS + 1)
+    values = np.stack([search.scan_moments(size) for size in sizes], axis=1)
+    rows = ((name, values[NAMES.index(name)] - limit) for name, limit in limits.items())
+    return {name: divided(drive.mesh.geometry, _straight(sizes, row), leaning) for name, row in rows}
+
+
+def _straight(sizes: Floats, excess: Floats) -> float:
+    """Where an excess at rising sizes first comes, straight between them; nan if it does not."""
+    first = int(np.argmax(excess > 0.0))
+    if not excess[first] > 0.0:
+        return math.nan
+    if first == 0:
+        return 0.0
+    low, high = excess[first - 1], excess[first]
+    share = -low / (high - low) if math.isfinite(high) else 0.0
+    return float(sizes[first - 1] + share * (sizes[first] - sizes[first - 1]))
+
+
+class _Search:
+    """One criterion of one drive at one torque; of a displacement the tilt has a share."""
+
+    def __init__(self, drive: Drive, cup_torque: float, criterion: str, leaning: float = 0.0) -> None:
+        self.drive = drive = replace(drive, mesh=replace(drive.mesh, tilt=0.0))
+        self.torque, self.leaning = np.array([cup_torque]), leaning
         self.pitch, self.index = drive.mesh.geometry.slot_pitch, NAMES.index(criterion)
         self.jumps = CRITERIA[self.index].jumps
         self.reference = reference_stiffness(drive, self.torque)
 
-    def scan(self, eccentricity: float) -> Floats:
+    def scan(self, size: float) -> Floats:
         """Worst of all criteria over a coarse grid (6,); of the last, that of a turn, nearly the worst."""
         around = 2.0 * math.pi * (np.arange(_SCAN[0]) + 0.37) / _SCAN[0]  # meets several tooth phases
-        beta = self._torsion(replace(self.drive.mesh, eccentricity=eccentricity), around[:, None])
+        beta = self._torsion(self._displaced(size, 0.0), around[:, None])
         width = np.ptp(np.where(np.isnan(beta), np.inf, beta))
-        return np.append(self._moments(eccentricity, _grid(*_SCAN)).max(axis=1), width)
+        return np.append(self.scan_moments(size), width)
+
+    def scan_moments(self, size: float) -> Floats:
+        """Worst of the criteria of a moment over a coarse grid (5,)."""
+        return np.asarray(self._moments(size, _grid(*_SCAN)).max(axis=1))
 
     def exceeded(self, limit: float, scanned: Floats) -> float:
-        """The eccentricity at which a limit is first exceeded, nan if it is not."""
+        """The displacement at which a limit is first exceeded, nan if it is not."""
 
         def excess(e: float) -> float:
             value = self.worst(e).value
@@ -211,16 +264,16 @@ class _Search:
 
         return _crossing(excess, scanned[0], scanned[1] > limit, FINE_STEPS if self.jumps else 1)
 
-    def worst(self, eccentricity: float) -> Worst:
+    def worst(self, size: float) -> Worst:
         """Worst over all directions and angles."""
         if NAMES[self.index] == "transmission_error":
             directions = self.pitch * np.arange(_TURN_DIRECTIONS) / _TURN_DIRECTIONS
-            widths = (self._width(eccentricity, float(direction)) for direction in directions)
+            widths = (self._width(size, float(direction)) for direction in directions)
             found = list(widths)
             return found[_first(np.array([worst.value for worst in found]))]
 
         def value(points: Floats) -> Floats:
-            return np.asarray(self._moments(eccentricity, points)[self.index])
+            return np.asarray(self._moments(size, points)[self.index])
 
         grid = _SEARCH_OF_JUMPS if self.jumps else _SEARCH
         points = _grid(*grid)
@@ -229,17 +282,24 @@ class _Search:
         turn = self.pitch * float(best[1])
         return Worst(most, (float(best[0]) + turn) % (2.0 * math.pi), turn)
 
-    def _moments(self, eccentricity: float, points: Floats) -> Floats:
+    def _displaced(self, size: float, direction: float) -> Mesh:
+        e, tilt = divided(self.drive.mesh.geometry, size, self.leaning)
+        towards = cmath.rect(1.0, direction)
+        return replace(self.drive.mesh, eccentricity=cmath.rect(e, direction), tilt=tilt * towards)
+
+    def _moments(self, size: float, points: Floats) -> Floats:
         """Criteria (5, n) at points (n, 2): angle from the long axis [rad], phase in a slot pitch [-]."""
         turn, mesh = self.pitch * points[:, 1], self.drive.mesh
         towards: Complexes = np.exp(1j * (points[:, 0] + turn))
         turning: Complexes = np.exp(1j * turn)
-        found = evaluate(mesh, turn, eccentricity * towards + mesh.runout * turning, self.torque)
+        e, tilt = divided(mesh.geometry, size, self.leaning)
+        center = e * towards + mesh.runout * turning
+        found = evaluate(mesh, turn, center, self.torque, tilt=tilt * towards)
         return of_moments(found, self.drive.cup_compliance, self.reference)[:, :, 0]
 
-    def _width(self, eccentricity: float, direction: float) -> Worst:
-        """Peak to peak of a turn at one direction of the eccentricity, and where the greatest torsion is."""
-        mesh = replace(self.drive.mesh, eccentricity=cmath.rect(eccentricity, direction))
+    def _width(self, size: float, direction: float) -> Worst:
+        """Peak to peak of a turn at one direction of the displacement, and where the greatest torsion is."""
+        mesh = self._displaced(size, direction)
         count = _TURN_PHASES * mesh.geometry.circular_spline_teeth
         step = 2.0 * math.pi / count
         points = step * np.arange(count, dtype=np.float64)[:, None]

@@ -19,13 +19,17 @@ from hd_diag.process_pool import ProcessPool
 from hd_diag.tolerance import assembly, limit, sensitivity
 from hd_diag.tolerance.assembly import FACTORS, Population, Share, Spread
 from hd_diag.tolerance.evaluation import CRITERIA, NAMES, cup_torques, warm_up
-from hd_diag.tolerance.limit import EccentricityLimit, first_excess
+from hd_diag.tolerance.limit import DisplacementLimit, first_excess
 from hd_diag.tolerance.sensitivity import Indices
+
+CHARTED = ("interference", "overlap", "peak_tooth_load")
+"""Criteria in the chart of eccentricity against tilt: interference and load."""
 
 # Is given a part of the work and its number of steps; gives what is called after each step.
 Progress = Callable[[str, int], Callable[[], None]]
 
 _TOLERANCES = 13  # of a yield curve, from zero to twice the configured one, the middle one
+_RAYS = 17  # of a chart, from a tilt against the eccentricity to one along it
 _ALL_TEETH = 0.0  # [m]; overlap from which no rotation frees all teeth
 
 
@@ -97,8 +101,8 @@ class Interference:
 
     across: float
     clearance: float
-    any_direction: EccentricityLimit
-    all_teeth: EccentricityLimit
+    any_direction: DisplacementLimit
+    all_teeth: DisplacementLimit
 
 
 @dataclass(frozen=True)
@@ -118,20 +122,44 @@ class Yield:
 
 
 @dataclass(frozen=True)
+class Tilts:
+    """What tilts a drive in sections may have; `limits` as those of a study, of a tilt alone.
+
+    `chart`, by the names of :data:`CHARTED`: eccentricity [m] and tilt [rad], negative against it, at which a
+    limit is first exceeded at the first torque, (2, rays); nan where it is not.
+    """
+
+    largest: float
+    limits: list[list[DisplacementLimit]]
+    chart: dict[str, Floats]
+
+    @property
+    def allowed(self) -> DisplacementLimit | None:
+        """The limit that is reached first, at any torque; none if none is reached."""
+        return _least(self.limits)
+
+
+@dataclass(frozen=True)
 class Study:
-    """Answers to a question; `limits` by torque, in the order of `CRITERIA`."""
+    """Answers to a question; `limits` by torque, in the order of `CRITERIA`; `tilts` where it may lean."""
 
     question: Question
     interference: Interference
-    limits: list[list[EccentricityLimit]]
+    limits: list[list[DisplacementLimit]]
+    tilts: Tilts | None
     assemblies: Yield | None
     sensitivity: Indices | None
 
     @property
-    def allowed(self) -> EccentricityLimit | None:
+    def allowed(self) -> DisplacementLimit | None:
         """The limit that is reached first, at any torque; none if none is reached."""
-        reached = [each for row in self.limits for each in row if each.reached]
-        return min(reached, key=lambda each: each.eccentricity, default=None)
+        return _least(self.limits)
+
+
+def _least(limits: list[list[DisplacementLimit]]) -> DisplacementLimit | None:
+    reached = [each for row in limits for each in row if each.reached]
+    # Of both one is zero in all of them.
+    return min(reached, key=lambda each: each.eccentricity + each.tilt, default=None)
 
 
 def study(question: Question, pool: ProcessPool, progress: Progress) -> Study:
@@ -146,6 +174,8 @@ def study(question: Question, pool: ProcessPool, progress: Progress) -> Study:
     if question.samples or question.sensitivity_samples:
         assembly.check(population, float(tolerances[-1]))
     interference, limits = _limits(question, pool, progress)
+    leans = question.drive.mesh.geometry.sections > 1
+    tilts = _tilts(question, pool, progress) if leans else None
     drawn = indices = None
     if question.samples:
         numbers = np.random.default_rng(question.seed).random((question.samples, len(FACTORS)))
@@ -163,25 +193,42 @@ def study(question: Question, pool: ProcessPool, progress: Progress) -> Study:
 
         rng = np.random.default_rng(question.seed)
         indices = sensitivity.indices(model, len(FACTORS), samples, rng)
-    return Study(question, interference, limits, drawn, indices)
+    return Study(question, interference, limits, tilts, drawn, indices)
 
 
 def _limits(
     question: Question, pool: ProcessPool, progress: Progress
-) -> tuple[Interference, list[list[EccentricityLimit]]]:
+) -> tuple[Interference, list[list[DisplacementLimit]]]:
     torques = question.cup_torque
     free = [("interference", 0.0), ("overlap", _ALL_TEETH)]
     asked = [(torques[0], *one) for one in free]
     asked += [(torque, name, question.limits[name]) for torque in torques for name in NAMES]
-    tasks = [(question.drive, *one, question.largest) for one in asked]
+    tasks = [(question.drive, *one, question.largest, 0.0) for one in asked]
     found = pool.map(_first_excess, tasks, progress("limits", len(tasks)))
     rows = [found[k : k + len(NAMES)] for k in range(len(free), len(found), len(NAMES))]
     across = limit.across_long_axis(question.drive, question.largest)
     return Interference(*across, *found[: len(free)]), rows
 
 
-def _first_excess(task: tuple[Drive, float, str, float, float]) -> EccentricityLimit:
+def _tilts(question: Question, pool: ProcessPool, progress: Progress) -> Tilts:
+    drive, torques, largest = question.drive, question.cup_torque, question.largest
+    asked = [(torque, name, question.limits[name]) for torque in torques for name in NAMES]
+    tasks = [(drive, *one, largest, 1.0) for one in asked]
+    found = pool.map(_first_excess, tasks, progress("tilt", len(tasks)))
+    limits = {name: question.limits[name] for name in CHARTED}
+    rays = [(drive, torques[0], limits, largest, leaning) for leaning in np.linspace(-1.0, 1.0, _RAYS)]
+    shown = pool.map(_frontier, rays, progress("chart", len(rays)))
+    chart = {name: np.array([ray[name] for ray in shown]).T for name in CHARTED}
+    rows = [found[k : k + len(NAMES)] for k in range(0, len(found), len(NAMES))]
+    return Tilts(limit.divided(drive.mesh.geometry, largest, 1.0)[1], rows, chart)
+
+
+def _first_excess(task: tuple[Drive, float, str, float, float, float]) -> DisplacementLimit:
     return first_excess(*task)
+
+
+def _frontier(task: tuple[Drive, float, dict[str, float], float, float]) -> dict[str, tuple[float, float]]:
+    return limit.frontier(*task)
 
 
 # For others ---
@@ -190,19 +237,27 @@ def _first_excess(task: tuple[Drive, float, str, float, float]) -> EccentricityL
 def document(joint: str, found: Study) -> dict[str, Any]:
     """What `hd-diag tolerance --json` writes; SI units, null where a limit is not reached."""
     question, first, allowed = found.question, found.interference, found.allowed
-    drawn, indices = found.assemblies, found.sensitivity
+    drawn, indices, tilts = found.assemblies, found.sensitivity, found.tilts
 
-    def told(one: EccentricityLimit) -> dict[str, Any]:
+    largest = {"eccentricity": question.largest, "tilt": tilts.largest if tilts else 0.0}
+
+    def told(one: DisplacementLimit, of: str = "eccentricity") -> dict[str, Any]:
         angle = limit.input_angle(question.drive, one.worst.wave_generator_angle)
         degrees = math.degrees(one.worst.direction)
         return {
             "limit": one.limit,
             "reached": one.reached,
-            "eccentricity": one.eccentricity,
+            of: getattr(one, of),
             "value_without": one.without,
             "worst": {**asdict(one.worst), "direction_deg": degrees, "input_angle": angle},
-            "curve": {"eccentricity": one.scanned[0], "value": one.scanned[1]},
+            "curve": {of: one.scanned[0] * largest[of] / question.largest, "value": one.scanned[1]},
         }
+
+    def by_torque(rows: list[list[DisplacementLimit]], of: str) -> list[dict[str, Any]]:
+        return [
+            {"torque": torque, "criteria": {one.criterion: told(one, of) for one in row}}
+            for torque, row in zip(question.torque, rows, strict=True)
+        ]
 
     content = {
         "schema": "hd_diag/tolerance/1",
@@ -221,11 +276,18 @@ def document(joint: str, found: Study) -> dict[str, Any]:
             "any_direction": told(first.any_direction),
             "all_teeth": told(first.all_teeth),
         },
-        "limits": [
-            {"torque": torque, "criteria": {one.criterion: told(one) for one in row}}
-            for torque, row in zip(question.torque, found.limits, strict=True)
-        ],
+        "limits": by_torque(found.limits, "eccentricity"),
         "allowed": allowed and {"eccentricity": allowed.eccentricity, "criterion": allowed.criterion},
+        "tilt": tilts
+        and {
+            "largest_tilt": tilts.largest,
+            "limits": by_torque(tilts.limits, "tilt"),
+            "allowed": tilts.allowed and {"tilt": tilts.allowed.tilt, "criterion": tilts.allowed.criterion},
+            "chart": {
+                "torque": question.torque[0],
+                "criteria": {n: {"eccentricity": e, "tilt": t} for n, (e, t) in tilts.chart.items()},
+            },
+        },
         "assemblies": drawn
         and {
             "samples": question.samples,
@@ -254,6 +316,7 @@ def document(joint: str, found: Study) -> dict[str, Any]:
         },
         "units": {
             "eccentricity": "m",
+            "tilt": "rad; negative in the chart: against the eccentricity",
             "direction": "rad, in the housing",
             "angle": "rad",
             "torque": "N m",

@@ -171,10 +171,12 @@ LIMITS = {
 @options.JSON
 @options.figure_option("the result")
 def tolerance() -> None:
-    """Compute how much eccentricity an assembly may have.
+    """Compute how much eccentricity, and how much tilt, an assembly may have.
 
     For every criterion: the smallest eccentricity that exceeds its limit, over all directions and input
-    angles. Then random assemblies are drawn from the configured tolerances: the share of good ones over the
-    tolerance of the eccentricity, and which tolerance matters most. Limits and tolerances are in the section
-    "tolerance" of the configuration; an option replaces a limit.
+    angles. For a drive in sections also the smallest tilt without eccentricity, and a chart of both together
+    with the limits of interference and load (--figure, --json). Then random assemblies are drawn from the
+    configured tolerances: the share of good ones over the tolerance of the eccentricity, and which tolerance
+    matters most. Limits and tolerances are in the section "tolerance" of the configuration; an option
+    replaces a limit.
     """

@@ -1,4 +1,4 @@
-"""What eccentricity an assembly may have: criteria over eccentricity, yield over tolerance, what matters."""
+"""What an assembly may have: criteria over eccentricity and tilt, yield over tolerance, what matters."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hd_diag.report.pictures.canvas import ACCENT, DASHES, GRID, INK, SERIES, dr
 from hd_diag.tolerance.assembly import FACTORS
 from hd_diag.tolerance.evaluation import CRITERIA
 from hd_diag.tolerance.sensitivity import Indices
-from hd_diag.tolerance.study import Study, Yield
+from hd_diag.tolerance.study import Study, Tilts, Yield
 
 __all__ = ["save", "tolerance_picture"]
 
@@ -27,15 +27,17 @@ _LINES: list[dict[str, Any]] = [
 
 @drawn
 def tolerance_picture(found: Study) -> Figure:
-    """Up to three panels, one above the other."""
-    drawn_, indices = found.assemblies, found.sensitivity
-    heights = [_PANEL + 0.3] + [_PANEL] * (drawn_ is not None)
+    """Up to four panels, one above the other."""
+    drawn_, indices, tilts = found.assemblies, found.sensitivity, found.tilts
+    heights = [_PANEL + 0.3] + [_PANEL] * (tilts is not None) + [_PANEL] * (drawn_ is not None)
     heights += [_BAR * len(FACTORS) + 1.4] * (indices is not None)
     figure, axes = sheet(sum(heights), len(heights), height_ratios=heights)
     figure.set_figwidth(_WIDTH)
     _limits(axes[0], found)
+    if tilts is not None:
+        _chart(axes[1], tilts)
     if drawn_ is not None:
-        _yield(axes[1], drawn_, found.question.target)
+        _yield(axes[1 + (tilts is not None)], drawn_, found.question.target)
     if indices is not None:
         _sensitivity(axes[-1], indices)
     for panel in axes:  # above it, where it covers nothing
@@ -55,6 +57,16 @@ def _limits(axes: Axes, found: Study) -> None:
     axes.axhline(1.0, color=INK, lw=0.7)
     axes.set(xlim=(0.0, found.question.largest * 1e6), xlabel="eccentricity [µm]", ylim=(0.0, 2.0))
     axes.set_ylabel(f"worst over limit at {found.question.torque[0]:g} N m")
+
+
+def _chart(axes: Axes, tilts: Tilts) -> None:
+    """Eccentricity against tilt: each line encloses what is within a limit."""
+    lines = {criterion.name: line for criterion, line in zip(CRITERIA, _LINES, strict=True)}
+    for name, (eccentricity, tilt) in tilts.chart.items():
+        axes.plot(tilt * 1e3, eccentricity * 1e6, **lines[name])
+    axes.axvline(0.0, color=GRID, lw=0.7)
+    axes.set(ylim=(0.0, None), xlabel="tilt, right: towards the eccentricity, left: against it [mrad]")
+    axes.set_ylabel("eccentricity [µm]")
 
 
 def _yield(axes: Axes, drawn_: Yield, target: float) -> None:
