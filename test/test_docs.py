@@ -376,7 +376,7 @@ def test_the_worked_example_is_named_by_a_diagnosis(tmp_path: Path) -> None:
 
 
 GALLERY = sorted((DOCS / "gallery").glob("*.py"))
-LONG_SCRIPTS = ("a_fleet", "tolerance_chart")  # a minute each on a busy machine
+LONG_SCRIPTS = ("a_fleet", "eccentricity_against_tilt", "tolerance_chart")  # a minute each on a busy machine
 
 
 @pytest.mark.parametrize(

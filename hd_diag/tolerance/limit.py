@@ -111,7 +111,7 @@ def divided(geometry: Geometry, displacement: float, leaning: float) -> tuple[fl
     A negative share leans against the eccentricity. In one section nothing leans.
     """
     arm = float(np.abs(geometry.section_places).max())
-    return displacement * (1.0 - abs(leaning)), displacement * leaning / arm if leaning else 0.0
+    return displacement * (1.0 - abs(leaning)), displacement * (leaning / arm if leaning else 0.0)
 
 
 def check_largest(drive: Drive, largest: float) -> None:

@@ -29,7 +29,7 @@ CHARTED = ("interference", "overlap", "peak_tooth_load")
 Progress = Callable[[str, int], Callable[[], None]]
 
 _TOLERANCES = 13  # of a yield curve, from zero to twice the configured one, the middle one
-_RAYS = 17  # of a chart, from a tilt against the eccentricity to one along it
+_RAYS = 25  # of a chart, from a tilt against the eccentricity to one along it
 _ALL_TEETH = 0.0  # [m]; overlap from which no rotation frees all teeth
 
 
