@@ -5,11 +5,13 @@ Their own speeds are not judged.
 
 import importlib.util
 import json
+import math
 import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import drives
 import numpy as np
@@ -19,6 +21,8 @@ from challenge.contact import Gear
 from challenge.design import OTHERS, SIZE_25, Design
 from numpy.testing import assert_allclose
 
+from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
+from hd_diag.diagnosis.work import Work
 from hd_diag.drive import Drive, mesh_state, transmission_error
 from hd_diag.formatting import ARCSEC
 from hd_diag.model.transmission_error import Kinematics
@@ -114,8 +118,14 @@ def test_suite_measures_and_tells(run: Script, monkeypatch: pytest.MonkeyPatch, 
         assert suite.Row("section", "what", value, "s", ratio, aim=aim, aim_unit=unit).met is met
 
 
-def test_one_record(run: Script, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """A spectrum's peaks beside it; the other methods where they are installed."""
+@pytest.mark.parametrize("seconds", [0.0, pytest.param(math.inf, marks=pytest.mark.slow)])
+def test_one_record(run: Script, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, seconds: float) -> None:
+    """A spectrum's peaks beside it; the other methods where they are installed; seconds limit the search."""
+
+    def within(*given: Any) -> Diagnosis:
+        return diagnose(*given, Work(seconds))
+
+    monkeypatch.setattr(scoring, "diagnose", within)
     challenge, tables, figures = loaded("challenge", monkeypatch), tmp_path / "f.md", tmp_path / "f.json"
     monkeypatch.setattr(challenge, "ProcessPoolExecutor", lambda *_: ThreadPoolExecutor(1))
     one = ("--seeds", 1, "--families", "short", "--jobs", 1, "--first", 1)

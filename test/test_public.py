@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from cli_runner import hd_diag as command
 
 import hd_diag
@@ -23,10 +24,13 @@ ELBOW = [
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A parameter file, and a record as on the page, shorter."""
+    """A page's parameter file, and a record as in the docs, shorter and of one section."""
     place = tmp_path_factory.mktemp("notebook")
-    config, bag = place / "elbow.yaml", place / "elbow.mcap"
-    assert command("gear", *ELBOW, "--accuracy=1", "--joint=elbow", "--out", config).exit_code == 0
+    page, config, bag = place / "page.yaml", place / "elbow.yaml", place / "elbow.mcap"
+    assert command("gear", *ELBOW, "--accuracy=1", "--joint=elbow", "--out", page).exit_code == 0
+    parameters = yaml.safe_load(page.read_text())
+    parameters["hd_diag"]["ros__parameters"]["elbow"]["sections"] = 1
+    config.write_text(yaml.safe_dump(parameters))
     errors = ("--eccentricity-um=6", "--direction-deg=40", "--angle-noise-arcsec=2", "--torque-noise=0.1")
     motion = ("--duration=30", "--rate=100", "--out", bag)
     assert command("simulate", "--config", config, *errors, *motion).exit_code == 0
@@ -56,7 +60,7 @@ def test_a_moment_is_that_of_the_command_line(folder: Path) -> None:
 def test_a_gear_is_that_of_the_command_line(folder: Path) -> None:
     by_values = {key: float(value) for key, value in (word[2:].split("=") for word in ELBOW)}
     by_values["rated_torque"] = by_values.pop("rated-torque")
-    drive = hd_diag.load(folder / "elbow.yaml")["elbow"].drive
+    drive = hd_diag.load(folder / "page.yaml")["elbow"].drive
     own = hd_diag.gear(by_values, accuracy=drive.accuracy)
     assert own == drive
     assert hd_diag.gear("csg-25-100", output="circular_spline").kinematics.ratio == 101.0
