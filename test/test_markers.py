@@ -1,5 +1,6 @@
 """The drawing of the gear: in true scale it is the model's gear, and RViz can read it."""
 
+import dataclasses
 from collections.abc import Iterator
 
 import matplotlib
@@ -38,7 +39,7 @@ def drive(**changes: float | str) -> Drive:
 
 def shapes(drive: Drive, angle: float = 0.3, torque: float = 40.0, **options: object) -> dict[str, Shape]:
     state = mesh_state(drive, np.array([angle]), drive.frame.cup_torque(np.array([torque])))
-    drawn = drawing(drive, angle, state.load[0], torsion=float(state.torsion[0]), **options)
+    drawn = drawing(drive, angle, state.section_load[0], torsion=float(state.torsion[0]), **options)
     return {shape.name: shape for shape in drawn}
 
 
@@ -170,7 +171,7 @@ def test_each_flank_has_the_colour_of_its_own_load() -> None:
     gear = drive()
     load = np.zeros((2, 200))
     load[0, 5], load[1, 9], load[0, 12] = 30.0, 60.0, 500.0
-    drawn = {shape.name: shape for shape in drawing(gear, 0.3, load, full_scale=60.0)}
+    drawn = {shape.name: shape for shape in drawing(gear, 0.3, load[None], full_scale=60.0)}
     outline = points(drawn["flexspline"])[:-1].reshape(200, -1)
     half = outline.shape[1] // 2
     vertices, colours = points(drawn["teeth"]).reshape(200, -1), drawn["teeth"].colours.reshape(200, -1, 4)
@@ -192,8 +193,75 @@ def test_triangles_fill_the_teeth_and_face_up() -> None:
 
 
 def test_load_of_another_gear_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"load: shape \(2, 200\) is needed, got \(2, 160\)"):
-        drawing(drive(), 0.0, np.zeros((2, 160)))
+    with pytest.raises(ValueError, match=r"load: shape \(1, 2, 200\) is needed, got \(1, 2, 160\)"):
+        drawing(drive(), 0.0, np.zeros((1, 2, 160)))
+
+
+# Sections ---
+
+
+CUP = {"face_width": 11e-3, "cup_length": 0.04, "sections": 3}
+TEETH, FRONT, BAND = 200, 24, 30  # vertices of a tooth's face, and of its flanks in a band
+
+
+def bands(shape: Shape, values: np.ndarray) -> np.ndarray:
+    """Of the bands alone, (sections, teeth, vertices, ...)."""
+    return values[TEETH * FRONT :].reshape(3, TEETH, BAND, -1)
+
+
+def test_a_section_is_a_band_of_its_share_of_the_width_in_its_place() -> None:
+    gear = drive(**CUP, tilt__magnitude=1e-3, tilt__direction=0.4)
+    drawn, geometry = shapes(gear, exaggeration=TRUE), gear.mesh.geometry
+    lines = {name: np.unique(drawn[name].points[:, 2]) for name in ("circular_spline", "wave_generator")}
+    for heights in lines.values():
+        np.testing.assert_allclose(heights, [-5.5e-3, 5.5e-3], rtol=1e-12)
+    found = bands(drawn["teeth"], drawn["teeth"].points)
+    z = found[..., 2] - drawn["teeth"].points[0, 2] + 5.5e-3  # faces lie a little below the lines
+    np.testing.assert_allclose(np.ptp(z, axis=(1, 2)), 11e-3 * geometry.section_weights, rtol=1e-12)
+    np.testing.assert_allclose(z.max(axis=(1, 2))[:-1], z.min(axis=(1, 2))[1:], rtol=1e-12)
+    for section, place in enumerate(geometry.section_places):
+        plane = drive(tilt__magnitude=0.0, eccentricity__magnitude=0.0)
+        mesh = dataclasses.replace(plane.mesh, eccentricity=gear.mesh.tilt * place)
+        assert place <= z[section].max()
+        assert place >= z[section].min()
+        if section == 1:  # in the middle the cup has the plane drive's curve
+            alone = dataclasses.replace(plane, mesh=mesh)
+            state = mesh_state(gear, np.array([0.3]), gear.frame.cup_torque(np.array([40.0])))
+            turned = {"torsion": float(state.torsion[0]), "exaggeration": TRUE}
+            flat = {shape.name: shape for shape in drawing(alone, 0.3, np.zeros((1, 2, TEETH)), **turned)}
+            outline = flat["flexspline"].points[:-1].reshape(TEETH, -1, 3)
+            near = np.abs(found[section, :, :, None, :2] - outline[:, None, :, :2]).max(axis=-1).min(axis=-1)
+            assert near.max() < 1e-12
+
+
+def test_a_band_has_the_colour_of_its_section_s_load_over_its_share() -> None:
+    gear = drive(**CUP)
+    load = np.zeros((3, 2, TEETH))
+    load[0, 0, 5], load[2, 1, 9] = 4.0, 6.0
+    drawn = {shape.name: shape for shape in drawing(gear, 0.3, load, full_scale=60.0)}
+    colours, share = bands(drawn["teeth"], drawn["teeth"].colours), gear.mesh.geometry.section_weights
+    dark = viridis(np.zeros(1))[0]
+    for section, flank, tooth in ((0, 0, 5), (2, 1, 9)):
+        bright = viridis(load[section, flank, [tooth]] / share[section] / 60.0)[0]
+        own = colours[section, tooth]
+        assert ((own == bright).all(axis=-1) | (own == dark).all(axis=-1)).all()
+        assert (own == bright).all(axis=-1).sum() == BAND // 2
+    coloured = (colours != dark).any(axis=(2, 3))
+    assert np.argwhere(coloured).tolist() == [[0, 5], [2, 9]]
+    front = drawn["teeth"].colours[: TEETH * FRONT].reshape(TEETH, FRONT, 4)
+    assert np.flatnonzero((front != dark).any(axis=(1, 2))).tolist() == [9]  # the open end's section
+
+
+def test_bands_face_outwards_and_rosbags_reads_them() -> None:
+    gear = drive(**CUP)
+    drawn = shapes(gear, exaggeration=TRUE)
+    found = bands(drawn["teeth"], drawn["teeth"].points).reshape(3, TEETH, -1, 3, 3)
+    normal = np.cross(found[..., 1, :] - found[..., 0, :], found[..., 2, :] - found[..., 0, :])
+    centre = found.mean(axis=(2, 3), keepdims=True)
+    outward = ((found - centre).mean(axis=3) * normal).sum(axis=-1)
+    assert (outward > 0.0).all()
+    message = jazzy().deserialize_cdr(marker_array(list(drawn.values()), STAMP, "gear"), MARKERS)
+    same(message.markers, drawn)
 
 
 def same(found_markers: list, drawn: dict[str, Shape]) -> None:

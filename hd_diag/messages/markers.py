@@ -16,7 +16,7 @@ from hd_diag.drive import Drive
 from hd_diag.messages.encoding import HEADER, text
 from hd_diag.model.flank_chain import FlankChain
 from hd_diag.model.geometry import Geometry
-from hd_diag.model.neutral_curve import tooth_axes
+from hd_diag.model.neutral_curve import NeutralCurve, tooth_axes
 from hd_diag.model.tooth_profile import DoubleArc
 
 MARKERS = "visualization_msgs/msg/MarkerArray"
@@ -40,6 +40,7 @@ _VIRIDIS = np.array(
 
 _FLANK_POINTS = 9  # heights at which a flank is drawn: its chords show clearances within 9 um
 _FACE_POINTS = 5  # of these, heights between which the faces are filled
+_BAND_POINTS = 3  # heights of a flank between which it is drawn along the width
 _CURVE_POINTS = 121
 _NANOSECONDS = 1_000_000_000
 
@@ -97,8 +98,8 @@ def drawing(
     drive : Drive
     input_angle : float
         As reported [rad].
-    load : ndarray, shape (2, Z_R)
-        Forces on the flanks (+, -) of every tooth [N].
+    load : ndarray, shape (sections, 2, Z_R)
+        Forces on the flanks (+, -) of every tooth in each section [N].
     torsion : float
         beta, rotation of the cup under load [rad].
     full_scale : float
@@ -112,7 +113,9 @@ def drawing(
     tuple of Shape
         ``circular_spline``, ``flexspline``, ``wave_generator`` (the neutral curve), ``long_axis``, ``teeth``
         (each flank coloured by its own load), ``eccentricity`` (from the axis to the displaced centre),
-        ``legend``.
+        ``legend``. A drive in sections is drawn with its width, z towards the open end, where the lines are
+        and, but for the flexspline's, at the cup's bottom too. The flanks are then bands, one a section, in
+        the section's place, coloured by its force over its share of the width.
 
     Raises
     ------
@@ -120,35 +123,77 @@ def drawing(
         If the load does not belong to this many teeth.
     """
     geometry = drive.mesh.geometry
-    if load.shape != (2, geometry.flexspline_teeth):
-        raise ValueError(f"load: shape {(2, geometry.flexspline_teeth)} is needed, got {load.shape}")
+    if load.shape != (geometry.sections, 2, geometry.flexspline_teeth):
+        raise ValueError(
+            f"load: shape {(geometry.sections, 2, geometry.flexspline_teeth)} is needed, got {load.shape}"
+        )
     angle = drive.frame.wave_generator_angle(np.array([input_angle]))
     turn = complex(np.exp(1j * angle[0]))
     displacement = complex(drive.mesh.displacement(angle)[0])
+    centres = (displacement + drive.mesh.tilt * geometry.section_places)[:, None]
     factor = exaggeration.deformation
     teeth = _teeth(drive, float(angle[0]), factor)
-    teeth = np.exp(1j * torsion) * (turn * teeth + displacement)
-    neutral = _deformed(geometry, np.linspace(0.0, 2.0 * np.pi, _CURVE_POINTS), factor)[0]
-    curve = turn * neutral + displacement
-    arrow = _arrow(displacement * exaggeration.eccentricity)
+    teeth = np.exp(1j * torsion) * (turn * teeth + centres[:, :, None])
+    around = np.linspace(0.0, 2.0 * np.pi, _CURVE_POINTS)
+    ends = [0, -1] if geometry.sections > 1 else [-1]
+    curves = [geometry.section_curves[end] for end in ends]
+    neutral = np.stack([_deformed(curve, around, factor)[0] for curve in curves])
+    neutral = turn * neutral + centres[ends]
+    edges = _edges(geometry)
     outer = geometry.circular_spline_datum + geometry.slot_end
-    legend = (
-        f"deformation x {factor:g}, eccentricity x {exaggeration.eccentricity:g}\n"
-        f"teeth: force on the flank, dark 0 to yellow {full_scale:g} N\n"
-        "blue: wave generator, amber: flexspline, grey: circular spline"
-    )
     width = 0.1 * geometry.tooth_pitch * outer
-    # Below the lines: in one plane they would flicker.
-    faces = _flat(teeth[:, _face_order()]) - (0.0, 0.0, width)
+    outline = np.append(teeth[-1], teeth[-1, 0, 0])
+    long_axis = neutral[:, [0, _CURVE_POINTS // 2]]
+    arrow = np.add(_arrow(displacement * exaggeration.eccentricity), (0.0, 0.0, edges[-1]))
+    place = np.array([[0.0, -1.2 * outer, 0.0]])
+    legend = _legend(geometry, exaggeration, full_scale)
     return (
         Shape("circular_spline", "line_strip", _slots(geometry), _STEEL, width),
-        Shape("flexspline", "line_strip", _flat(np.append(teeth, teeth[0, 0])), _AMBER, 0.5 * width),
-        Shape("wave_generator", "line_strip", _flat(curve), _BLUE, 2.0 * width),
-        Shape("long_axis", "line_list", _flat(curve[[0, _CURVE_POINTS // 2]]), _BLUE, 2.0 * width),
-        Shape("teeth", "triangle_list", faces, _STEEL, colours=_face_colours(load, full_scale)),
+        Shape("flexspline", "line_strip", _flat(outline, edges[-1]), _AMBER, 0.5 * width),
+        Shape("wave_generator", "line_strip", _flat(neutral, edges[ends]), _BLUE, 2.0 * width),
+        Shape("long_axis", "line_list", _flat(long_axis, edges[ends]), _BLUE, 2.0 * width),
+        _faces(teeth, edges, load / _shares(geometry) / full_scale, width),
         Shape("eccentricity", "line_list", arrow, _RED, 3.0 * width),
-        Shape("legend", "text", np.array([[0.0, -1.2 * outer, 0.0]]), _STEEL, 0.06 * outer, text=legend),
+        Shape("legend", "text", place, _STEEL, 0.06 * outer, text=legend),
     )
+
+
+def _edges(geometry: Geometry) -> Floats:
+    """Where the bands of the sections begin and end along the width [m], (sections + 1,); 0 without bands."""
+    if geometry.sections == 1:
+        return np.zeros(2)
+    return geometry.face_width * (np.append(0.0, np.cumsum(geometry.section_weights)) - 0.5)
+
+
+def _shares(geometry: Geometry) -> Floats:
+    """Of the sections in the width [-], shape (sections, 1, 1)."""
+    return geometry.section_weights[:, None, None]
+
+
+def _legend(geometry: Geometry, exaggeration: Exaggeration, full_scale: float) -> str:
+    bands = " over a section's share of the width" if geometry.sections > 1 else ""
+    return (
+        f"deformation x {exaggeration.deformation:g}, eccentricity x {exaggeration.eccentricity:g}\n"
+        f"teeth: force on the flank{bands}, dark 0 to yellow {full_scale:g} N\n"
+        "blue: wave generator, amber: flexspline, grey: circular spline"
+    )
+
+
+def _faces(teeth: Complexes, edges: Floats, share: Floats, below: float) -> Shape:
+    """Teeth filled at the open end, and their flanks along the width where it is drawn.
+
+    Outlines (sections, Z_R, points) and shares of the full scale (sections, 2, Z_R). The faces lie below the
+    lines [m]: in one plane they would flicker.
+    """
+    front = _face_order()
+    points, colours = [_flat(teeth[-1][:, front], edges[-1] - below)], [_flank_colours(share[-1], front)]
+    if len(teeth) > 1:
+        along, end = _band_order()
+        for k, section in enumerate(teeth):
+            place = np.broadcast_to(edges[k + end] - below, (len(section), along.size))
+            points.append(_placed(section[:, along], place))
+            colours.append(_flank_colours(share[k], along))
+    return Shape("teeth", "triangle_list", np.concatenate(points), _STEEL, colours=np.concatenate(colours))
 
 
 def viridis(share: Floats) -> Floats:
@@ -161,7 +206,9 @@ def viridis(share: Floats) -> Floats:
 
 
 def _teeth(drive: Drive, wave_generator_angle: float, exaggeration: float) -> Complexes:
-    """Outlines of the teeth in the wave generator's frame, counter-clockwise, x + iy [m], (Z_R, points).
+    """Outlines of the teeth in the wave generator's frame, counter-clockwise, x + iy [m].
+
+    Shape (sections, Z_R, points).
 
     Pose as in :func:`hd_diag.model.contact.contacts`.
     """
@@ -169,17 +216,17 @@ def _teeth(drive: Drive, wave_generator_angle: float, exaggeration: float) -> Co
     geometry = mesh.geometry
     start = -wave_generator_angle * (1.0 + 1.0 / geometry.reduction) + mesh.arc_offset / geometry.curve.radius
     u = start + geometry.tooth_pitch * np.arange(geometry.flexspline_teeth, dtype=np.float64)
-    foot, axis = _deformed(geometry, u, exaggeration)
-    turned: Complexes = np.exp(1j * axis)[:, None] * _tooth_outline(geometry)
-    return foot[:, None] + turned
+    posed = [_deformed(curve, u, exaggeration) for curve in geometry.section_curves]
+    outline = _tooth_outline(geometry)
+    return np.stack([foot[:, None] + np.exp(1j * axis)[:, None] * outline for foot, axis in posed])
 
 
-def _deformed(geometry: Geometry, u: Floats, exaggeration: float) -> tuple[Complexes, Floats]:
+def _deformed(curve: NeutralCurve, u: Floats, exaggeration: float) -> tuple[Complexes, Floats]:
     """Points of the neutral curve, x + iy [m], and directions of its normals [rad]."""
-    axis, height, offset = tooth_axes(geometry.curve, u)
+    axis, height, offset = tooth_axes(curve, u)
     foot = np.exp(1j * axis) * (height + 1j * offset)
     place = axis + np.arctan2(offset, height)
-    radius = geometry.semi_major - exaggeration * (geometry.semi_major - np.abs(foot))
+    radius = curve.semi_major - exaggeration * (curve.semi_major - np.abs(foot))
     return np.asarray(radius * np.exp(1j * place)), place + exaggeration * (axis - place)
 
 
@@ -192,14 +239,16 @@ def _tooth_outline(geometry: Geometry) -> Complexes:
 
 @functools.lru_cache(maxsize=16)
 def _slots(geometry: Geometry) -> Floats:
-    """The circular spline's teeth, closed, shape (n, 3) [m]."""
+    """The circular spline's teeth, closed, at both ends of the width where it is drawn, shape (n, 3) [m]."""
     datum = geometry.circular_spline_datum
     start = geometry.circular_spline_tip_radius - datum
     wall = datum + _flank(geometry.circular_spline_slot, start, geometry.slot_end)
     slot = np.concatenate((wall.conj(), wall[-2::-1]))
     turns = np.exp(1j * geometry.slot_pitch * np.arange(geometry.circular_spline_teeth))
     ring = (turns[:, None] * slot).reshape(-1)
-    return _flat(np.append(ring, ring[0]))
+    edges = _edges(geometry)
+    ends = edges[[0, -1]] if geometry.sections > 1 else edges[-1:]
+    return _flat(np.tile(np.append(ring, ring[0]), (ends.size, 1)), ends)
 
 
 def _flank(profile: DoubleArc | FlankChain, start: float, end: float) -> Complexes:
@@ -210,11 +259,21 @@ def _flank(profile: DoubleArc | FlankChain, start: float, end: float) -> Complex
     return np.asarray(heights + 1j * width)
 
 
-def _face_colours(load: Floats, full_scale: float) -> Floats:
-    clockwise, counter_clockwise = viridis(load[::-1] / full_scale)
+def _flank_colours(share: Floats, order: npt.NDArray[np.int64]) -> Floats:
+    """Colours of points of the outlines in an order, by shares (2, Z_R) of the full scale: (points, 4)."""
+    clockwise, counter_clockwise = viridis(share[::-1])
     flanks = np.stack((clockwise, counter_clockwise), axis=1)
-    side = (_face_order() >= _FLANK_POINTS).astype(np.int64)
+    side = (order >= _FLANK_POINTS).astype(np.int64)
     return np.ascontiguousarray(flanks[:, side].reshape(-1, 4))
+
+
+def _band_order() -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Which points of an outline the triangles of a band take, and at which end: 0 the bottom's, 1."""
+    height = np.linspace(0, _FLANK_POINTS - 1, _BAND_POINTS).astype(np.int64)
+    along = np.append(height, height + _FLANK_POINTS)
+    here, there = along[:-1], along[1:]
+    points = np.stack((here, there, there, here, there, here), axis=1)
+    return points.reshape(-1), np.tile([0, 0, 1, 0, 1, 1], here.size)
 
 
 def _face_order() -> npt.NDArray[np.int64]:
@@ -231,10 +290,14 @@ def _arrow(tip: complex) -> Floats:
     return _flat(np.array([0.0, tip, tip, head[0], tip, head[1]]))
 
 
-def _flat(points: Complexes) -> Floats:
-    """Points of the plane z = 0, shape (n, 3)."""
-    points = points.reshape(-1)
-    return np.stack((points.real, points.imag, np.zeros(points.size)), axis=1)
+def _flat(points: Complexes, z: float | Floats = 0.0) -> Floats:
+    """Points at heights z: one, or that of each row; shape (n, 3)."""
+    rows = np.broadcast_to(np.reshape(z, (-1,) + (1,) * (points.ndim - 1)), points.shape)
+    return _placed(points, rows)
+
+
+def _placed(points: Complexes, z: Floats) -> Floats:
+    return np.stack((points.real, points.imag, z), axis=-1).reshape(-1, 3)
 
 
 def marker_array(shapes: Sequence[Shape], stamp: int, frame_id: str) -> bytes:

@@ -187,7 +187,7 @@ class Monitor:
                 state = mesh_state(drive, own.input_angle, drive.frame.cup_torque(own.torque))
                 if is_drawn:
                     full = max(joint.limits["peak_tooth_load"].error, 1e-9)
-                    shown = own.input_angle, state.load, state.torsion, full
+                    shown = own.input_angle, state.section_load, state.torsion, full
                     yield Drawings(f"{topic}/mesh", at, own.stamp, joint.name, drive, *shown)
                 else:
                     yield Stamps(f"{topic}/stamp", at, own.stamp, joint.name)

@@ -46,8 +46,8 @@ class ToothArrays(NamedTuple):
 class Drawings(NamedTuple):
     """Gears to draw: topic, time of the cause [ns] (n,), and what a drawing shows.
 
-    Stamps [ns] and input angles as reported [rad], (n,); forces on the flanks (n, 2, Z_R) [N]; torsion (n,)
-    [rad]; the force that has the last colour [N].
+    Stamps [ns] and input angles as reported [rad], (n,); forces on the flanks (n, sections, 2, Z_R) [N];
+    torsion (n,) [rad]; the force that has the last colour [N].
     """
 
     topic: str
