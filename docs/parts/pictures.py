@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from parts import width
+
 # The example drive's catalogue page: its geometry is drawn.
 PAGE = "--size 25 --ratio 100 --rated-torque 56 --k1 3.1e4 --k2 5.0e4 --k3 5.7e4 --t1 14 --t2 48"
 
@@ -22,6 +24,7 @@ def drawn() -> Iterator[Path]:
         for words in (["figures", "--out", name], ["gear", *PAGE.split(), *made]):
             command = [sys.executable, "-m", "hd_diag", *words]
             subprocess.run(command, cwd=name, check=True, stdout=subprocess.DEVNULL)
+        width.draw(folder)
         yield folder
 
 
