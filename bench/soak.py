@@ -3,11 +3,12 @@
     python bench/soak.py [--seconds S] [--rate HZ] [--joints N] [--folder DIR] [--json FILE] [--markdown FILE]
 
 The node and the publishers are processes of their own, over DDS. Meanwhile parameters change, the publisher
-is restarted, its clock is set ahead and back, the node's log is split, and the disk under it is full for a
-while: as RLIMIT_FSIZE of the running node (prlimit), which needs no rights and ends every write as a full
-disk does. Each message has a stamp of its own; those sent are compared with those logged. Of files of the log
-that are finished stamps are kept, not the files. Ctrl-C ends it with the result so far. Exit code 0 where all
-holds, 1 where something does not, 130 after Ctrl-C.
+is restarted, its clock is set ahead and back, the node's log is split, its old files are deleted by age, and
+the disk under it is full for a while: as RLIMIT_FSIZE of the running node (prlimit), which needs no rights
+and ends every write as a full disk does. The log is begun by ~/start_log, and ended for some seconds, in
+which all is kept in memory, until ~/snapshot writes it; every five minutes of an hour ~/diagnose is called.
+Each message has a stamp of its own; those sent are compared with those logged, in whichever bag. Ctrl-C ends
+it with the result so far. Exit code 0 where all holds, 1 where something does not, 130 after Ctrl-C.
 """
 
 # ruff: noqa: D102, D103
@@ -18,15 +19,16 @@ import argparse
 import contextlib
 import json
 import os
-import re
 import resource
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("ROS_DOMAIN_ID", str(100 - os.getpid() % 20))  # tests take theirs from 1 on
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -39,16 +41,23 @@ from bench_node import cpu
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rich.console import Console
 from rich.table import Table
 from soak_result import HEAD, STEPS, Observed, cells, heading, markdown, result
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
 
 from hd_diag.bag import BagReader
 
 START_LIMIT, END_LIMIT = 300.0, 60.0  # [s]
 AHEAD, BACK = 3600.0, -1800.0  # of the publisher's clock [s]
 LEAST_STEP = 8.0  # between these [s]
+LEAST_DIAGNOSES = 60.0  # between calls of ~/diagnose, which take a twelfth of the time [s]
+BEFORE, AFTER = 30.0, 2.0  # that a snapshot holds, and a diagnosis looks at [s]
+PHASE = 5.0  # in which the memory alone has what comes, and again until the log is begun [s]
+LEAST_AGE = 60.0  # of files that are deleted, which is a tenth of the time [s]
 CHANGE = 2.0  # between changes of a parameter [s]
 QUIET = 3.0  # without another sample in the reports, after which the node has taken all [s]
 LOOK = 1.0  # between looks at memory [s]
@@ -87,8 +96,17 @@ class Run:
         joints = [f"joint_{k}" for k in range(1, options.joints + 1)]
         given = {
             "joints": joints,
-            "log": {"path": str(self._log), "split_duration": max(10.0, options.seconds / 60.0)},
+            "log": {
+                "path": str(self._log),
+                "mode": "snapshot",
+                "before": BEFORE,
+                "after": AFTER,
+                "topics": "inputs",
+                "split_duration": max(10.0, options.seconds / 60.0),
+                "max_age": max(LEAST_AGE, options.seconds / 10.0),
+            },
         }
+        self.seen.max_age = given["log"]["max_age"]
         file = folder / "parameters.yaml"
         file.write_text(yaml.safe_dump({"hd_diag": {"ros__parameters": given}}))
         ros = ["--ros-args", "--params-file", str(file), "--log-level", "fatal"]
@@ -101,8 +119,15 @@ class Run:
         self._node = rclpy.create_node("soak")
         self._client = AsyncParameterClient(self._node, "hd_diag")
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._take, 10)
-        self._asked: tuple[float, object] | None = None
-        self._state = ""
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._node.create_subscription(String, "/hd_diag/verdict", self._take_verdict, latched)
+        names = ("start_log", "stop_log", "snapshot", "diagnose")
+        self._services = {name: self._node.create_client(Trigger, f"/hd_diag/{name}") for name in names}
+        self._asked: tuple[float, Any, Callable[[Any], None]] | None = None
+        self._state = self._diagnosis = ""
+        self._phase: list[str] = []
+        self._due: dict[str, float] = {}
+        self._steps, self._step = 0, 0.0
 
     def _take(self, array: DiagnosticArray) -> None:
         self.seen.values = [{pair.key: pair.value for pair in status.values} for status in array.status]
@@ -110,6 +135,13 @@ class Run:
         self.seen.failures += state == "failed" != self._state
         self.seen.returns += self._state == "failed" != state
         self._state = state
+        diagnosis = self.seen.values[0]["diagnosis_state"]
+        if diagnosis.startswith("failed") and diagnosis != self._diagnosis:
+            self.seen.failed_diagnoses.append(diagnosis)
+        self._diagnosis = diagnosis
+
+    def _take_verdict(self, _: String) -> None:
+        self.seen.counts["verdict"] += 1
 
     def _spin(self) -> None:
         rclpy.spin_once(self._node, timeout_sec=0.02)
@@ -117,68 +149,108 @@ class Run:
             raise RuntimeError(f"the node ended with {self.process.returncode}")
 
     def prepare(self) -> None:
-        """Wait until predictions come from maps."""
+        """Wait until predictions come from maps and the log has begun."""
         end = time.monotonic() + START_LIMIT
-        joints = self._options.joints
-        asked = 0
-        while asked < joints or self._asked or not all(v["prediction"] == "map" for v in self.seen.values):
+        asked, joints = 0, self._options.joints
+        while asked <= joints or self._asked or not self._is_ready:
             self._spin()
             self._answer()
-            if asked < joints and self._asked is None and self._client.services_are_ready():
+            if asked <= joints and self._asked is None and self._client.services_are_ready():
+                if asked < joints:
+                    self._change()  # from here on each joint has a map of its own
+                elif self._services["start_log"].service_is_ready():
+                    self._ask("start_log")
                 asked += 1
-                self._change()  # from here on each joint has a map of its own
             if time.monotonic() > end:
                 raise RuntimeError(f"the node was not ready within {START_LIMIT:g} s")
         self.seen.answers.clear()
 
+    @property
+    def _is_ready(self) -> bool:
+        return self._state == "writing" and all(v["prediction"] == "map" for v in self.seen.values)
+
+    @property
+    def _is_calm(self) -> bool:
+        """Whether nothing of before goes on: a full disk, a time without a log, a request."""
+        is_usual = self._due["free"] == self._due["phase"] == float("inf") and self._state == "writing"
+        return is_usual and self._asked is None
+
     def go(self) -> Iterator[float]:
         """Do it; gives the time since its begin now and then."""
-        seconds = self._options.seconds
-        step = max(LEAST_STEP, seconds / 40.0)
-        begin, used, waited = time.monotonic(), cpu(self.process), waiting(self.process)
-        due = {"step": step, "change": CHANGE, "look": 0.0, "free": float("inf")}
-        steps = 0
+        seconds, begin = self._options.seconds, time.monotonic()
+        self._step = max(LEAST_STEP, seconds / 40.0)
+        used, waited = cpu(self.process), waiting(self.process)
+        actions = {
+            "free": self._free_disk,
+            "phase": self._go_on,
+            "change": self._change_one,
+            "diagnose": self._diagnose,
+            "step": self._do_step,
+        }
+        self._due = dict.fromkeys(actions, float("inf"))
+        self._due |= {"step": self._step, "change": CHANGE, "diagnose": self._between_diagnoses}
+        look = 0.0
         self._start_publisher()
-        while (
-            (now := time.monotonic() - begin) < seconds
-            or due["free"] < float("inf")
-            or self._state == "failed"
-        ):
+        while (now := time.monotonic() - begin) < seconds or not self._is_calm:
             self._spin()
             self._answer()
-            if now >= due["look"]:
-                due["look"] = now + LOOK
+            if now >= look:
+                look = now + LOOK
                 self.seen.take(now, self.process.pid)
                 self.seen.cpu = cpu(self.process) - used
                 self.seen.waited = waiting(self.process) - waited
                 if self._asked is None:  # else the answer would have to wait
                     self._read_files(spare=2)
                 yield now
-            if now >= due["free"]:
-                due["free"] = float("inf")
-                self._limit(resource.RLIM_INFINITY)
-            if now >= due["change"] and self._asked is None and now < seconds:
-                due["change"] = now + CHANGE
-                self._change()
-            if (
-                now >= due["step"]
-                and now < seconds - 2.0 * LEAST_STEP
-                and due["free"] == float("inf")
-                and self._state != "failed"
-            ):
-                due["step"] = now + step
-                what = STEPS[steps % len(STEPS)]
-                steps += 1
-                self.seen.counts[what] += 1
-                if what == "publisher restarted":
-                    self._restart_publisher()
-                elif what == "disk full":
-                    self._limit(1)
-                    due["free"] = now + 0.5 * step
-                else:
-                    self._publishers[-1].set_clock(AHEAD if what == "clock set ahead" else BACK)
+            for name, action in actions.items():
+                if now >= self._due[name]:
+                    action(now)
             if seconds + END_LIMIT < now:
                 return
+
+    @property
+    def _between_diagnoses(self) -> float:
+        return max(LEAST_DIAGNOSES, self._options.seconds / 12.0)
+
+    def _free_disk(self, now: float) -> None:
+        self._due["free"] = float("inf")
+        self._limit(resource.RLIM_INFINITY)
+
+    def _go_on(self, now: float) -> None:
+        """Write what the memory has, or begin the log again once that is written."""
+        if self._asked is not None or (self._phase[0] == "start_log" and self._state != "keeping"):
+            return
+        self._ask(self._phase.pop(0))
+        self._due["phase"] = now + PHASE if self._phase else float("inf")
+
+    def _change_one(self, now: float) -> None:
+        if self._asked is None and now < self._options.seconds:
+            self._due["change"] = now + CHANGE
+            self._change()
+
+    def _diagnose(self, now: float) -> None:
+        if self._is_calm and now < self._options.seconds:
+            self._due["diagnose"] = now + self._between_diagnoses
+            self._ask("diagnose")
+
+    def _do_step(self, now: float) -> None:
+        """Do what is next to be done to the node, unless something of before still goes on."""
+        if not self._is_calm or now >= self._options.seconds - 2.0 * LEAST_STEP:
+            return
+        self._due["step"] = now + self._step
+        what = STEPS[self._steps % len(STEPS)]
+        self._steps += 1
+        self.seen.counts[what] += 1
+        if what == "publisher restarted":
+            self._restart_publisher()
+        elif what == "disk full":
+            self._limit(1)
+            self._due["free"] = now + 0.5 * self._step
+        elif what == "snapshot":
+            self._ask("stop_log")
+            self._phase, self._due["phase"] = ["snapshot", "start_log"], now + PHASE
+        else:
+            self._publishers[-1].set_clock(AHEAD if what == "clock set ahead" else BACK)
 
     def end(self) -> np.ndarray:
         """End all; gives what was sent."""
@@ -232,7 +304,21 @@ class Run:
         self.seen.counts["parameter changed"] += 1
         joint, size = f"joint_{1 + number % self._options.joints}", 1e-6 * (number % 11)
         value = Parameter(f"{joint}.eccentricity.magnitude", value=float(size))
-        self._asked = time.monotonic(), self._client.set_parameters([value])
+        self._asked = time.monotonic(), self._client.set_parameters([value]), self._take_change
+
+    def _take_change(self, answer: Any) -> None:
+        self.seen.refused += [one.reason for one in answer.results if not one.successful]
+
+    def _ask(self, service: str) -> None:
+        future = self._services[service].call_async(Trigger.Request())
+        self._asked = time.monotonic(), future, partial(self._take_answer, service)
+
+    def _take_answer(self, service: str, answer: Any) -> None:
+        """A diagnosis may be refused while another one is under way."""
+        if service == "diagnose":
+            self.seen.counts["diagnosis begun" if answer.success else "diagnosis refused"] += 1
+        elif not answer.success:
+            self.seen.refused.append(f"~/{service}: {answer.message}")
 
     def _answer(self) -> None:
         if (
@@ -244,23 +330,36 @@ class Run:
             self.seen.full[-1][1] = time.time_ns()
         if self._asked is None:
             return
-        begin, future = self._asked
+        begin, future, take = self._asked
         if future.done():
             self._asked = None
             self.seen.answers.append(time.monotonic() - begin)
-            self.seen.refused += [one.reason for one in future.result().results if not one.successful]
+            take(future.result())
 
     def _read_files(self, spare: int) -> None:
-        """Keep the stamps of the log's files but for the last ones."""
-        found = sorted(self._log.glob("*/*.mcap"), key=lambda path: int(re.findall(r"\d+", path.stem)[-1]))
+        """Keep the stamps of the log's files but for the last ones, before they are old enough to go."""
+        written = {path: path.stat().st_mtime for path in self._files()}
+        found = sorted(written, key=lambda path: written[path])
+        self.seen.oldest = max(self.seen.oldest, time.time() - min(written.values(), default=time.time()))
+        self.seen.deleted = len(self._read - {*found})
         for path in found[: len(found) - spare]:
-            with BagReader(path) as reader:
-                for batch in reader.batches(["/joint_states"]):
-                    columns, _ = reader.joint_states(batch)
-                    self.seen.logged += [states.stamp for states in columns]
-                self.seen.unfinished += bool(reader.problems)
-            self.seen.files += 1
-            path.unlink()
+            if path not in self._read:
+                self._read.add(path)
+                self._read_file(path)
+
+    def _files(self) -> Iterator[Path]:
+        for path in self._log.glob("*/*.mcap"):
+            with contextlib.suppress(FileNotFoundError):
+                path.stat()
+                yield path
+
+    def _read_file(self, path: Path) -> None:
+        with BagReader(path) as reader:
+            for batch in reader.batches(["/joint_states"]):
+                columns, _ = reader.joint_states(batch)
+                self.seen.logged += [states.stamp for states in columns]
+            self.seen.unfinished += bool(reader.problems)
+        self.seen.files += 1
 
 
 def waiting(process: subprocess.Popen[bytes]) -> float:

@@ -13,7 +13,16 @@ from pathlib import Path
 
 import numpy as np
 
-STEPS = ("publisher restarted", "clock set ahead", "publisher restarted", "clock set back", "disk full")
+STEPS = (
+    "snapshot",
+    "publisher restarted",
+    "clock set ahead",
+    "publisher restarted",
+    "clock set back",
+    "disk full",
+)
+ASKED = ("parameter changed", "diagnosis begun", "diagnosis refused", "verdict")
+RETENTION = 20.0  # after which what is too old is gone: the node looks every 10 s [s]
 ANSWER, GROWTH = 1.0, 0.02  # allowed: time of an answer [s], growth of the memory [1]
 AROUND = 2_000_000_000  # of a full disk: what was not on it yet, and until it is seen to be free [ns]
 
@@ -22,9 +31,7 @@ AROUND = 2_000_000_000  # of a full disk: what was not on it yet, and until it i
 class Observed:
     """What was seen of a run; times are the system's [ns]."""
 
-    counts: dict[str, int] = field(
-        default_factory=lambda: dict.fromkeys((*dict.fromkeys(STEPS), "parameter changed"), 0)
-    )
+    counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys((*dict.fromkeys(STEPS), *ASKED), 0))
     refused: list[str] = field(default_factory=list)
     answers: list[float] = field(default_factory=list)
     memory: list[tuple[float, float]] = field(default_factory=list)
@@ -36,6 +43,10 @@ class Observed:
     logged: list[np.ndarray] = field(default_factory=list)
     files: int = 0
     unfinished: int = 0
+    deleted: int = 0
+    oldest: float = 0.0
+    max_age: float = 0.0
+    failed_diagnoses: list[str] = field(default_factory=list)
     values: list[dict[str, str]] = field(default_factory=list)
     cpu: float = 0.0
     waited: float = 0.0
@@ -75,6 +86,13 @@ def medians(seen: Sequence[tuple[float, float]], seconds: float) -> tuple[float,
     early = [value for at, value in seen if 0.1 * seconds <= at < 0.2 * seconds]
     late = [value for at, value in seen if at >= 0.9 * seconds]
     return float(np.median(early or np.nan)), float(np.median(late or np.nan))
+
+
+def most(seen: Sequence[tuple[float, float]], seconds: float) -> tuple[float, float]:
+    """The most that was seen in the first half of the time, and in the second; nan where there is nothing."""
+    halves = [[value for at, value in seen if (at >= 0.5 * seconds) == late] for late in (False, True)]
+    first, second = (max(half, default=float("nan")) for half in halves)
+    return first, second
 
 
 Row = tuple[str, str, str, bool]
@@ -118,11 +136,12 @@ def result(seen: Observed, sent: np.ndarray, took: float) -> list[Row]:
             seen.unfinished <= full and seen.files > 0,
         ),
         (
-            "parameter changes refused",
+            "parameter changes refused, and calls for the log or a snapshot",
             "0",
-            f"{len(seen.refused)} of {seen.counts['parameter changed']}",
+            f"{len(seen.refused)} of {seen.counts['parameter changed'] + 3 * seen.counts['snapshot']}",
             not seen.refused,
         ),
+        *of_log(seen, took),
         ("slowest answer to a request", f"{ANSWER:g} s", f"{slowest:.2g} s", slowest <= ANSWER),
         (
             "memory, last tenth over second tenth",
@@ -131,10 +150,10 @@ def result(seen: Observed, sent: np.ndarray, took: float) -> list[Row]:
             grown <= GROWTH,
         ),
         *(
-            (f"{name}, second tenth and last", "no more", f"{a:g}, {b:g}", b <= a)
+            (f"most {name}, first half and second", "no more", f"{a:g}, {b:g}", b <= a)
             for name, (a, b) in (
-                ("threads", medians(seen.threads, took)),
-                ("open files", medians(seen.open_files, took)),
+                ("threads", most(seen.threads, took)),
+                ("open files", most(seen.open_files, took)),
             )
         ),
         ("CPU of the node, of one core", "", f"{100.0 * seen.cpu / took:.0f} %" if took else "", True),
@@ -145,6 +164,30 @@ def result(seen: Observed, sent: np.ndarray, took: float) -> list[Row]:
             True,
         ),
         ("exit code of the node", "0", str(seen.code), seen.code == 0),
+    ]
+
+
+def of_log(seen: Observed, took: float) -> list[Row]:
+    """What retention and diagnoses do."""
+    oldest, begun, found = (
+        1.1 * seen.max_age + RETENTION,
+        seen.counts["diagnosis begun"],
+        seen.counts["verdict"],
+    )
+    failed = seen.failed_diagnoses
+    return [
+        (
+            "age of the oldest file of the log, and how many were deleted",
+            f"at most {oldest:.0f} s, some",
+            f"{seen.oldest:.0f} s, {seen.deleted}",
+            seen.oldest <= oldest and (seen.deleted > 0 or took < 2.0 * oldest),
+        ),
+        (
+            "verdicts of diagnoses beside it, and how many failed",
+            f"at least {max(0, begun - 1)}, 0",  # the last ends with the node
+            f"{found}, {len(failed)}{': ' * bool(failed)}{'; '.join(failed)}",
+            found >= begun - 1 and not failed,
+        ),
     ]
 
 

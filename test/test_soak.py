@@ -44,6 +44,33 @@ def test_the_second_tenth_is_compared_with_the_last() -> None:
     assert np.isnan(soak.medians(flat[:5], 100.0)).all()
 
 
+def test_the_most_of_the_halves_is_compared() -> None:
+    """Of what comes and goes, such as the thread that writes a log."""
+    come_and_go = [(float(at), 18.0 + (at % 7 == 0)) for at in range(100)]
+    assert soak.most(come_and_go, 100.0) == (19.0, 19.0)
+    assert soak.most([(at, size + (at > 90)) for at, size in come_and_go], 100.0) == (19.0, 20.0)
+    assert np.isnan(soak.most([], 100.0)).all()
+
+
+def test_retention_and_diagnoses_are_judged() -> None:
+    """Old files go; each diagnosis but the last ends with a verdict."""
+    seen = soak.Observed(max_age=60.0, oldest=70.0, deleted=3)
+    seen.counts |= {"diagnosis begun": 3, "verdict": 2}
+
+    def holds() -> list[bool]:
+        return [row[3] for row in soak.of_log(seen, 600.0)]
+
+    assert holds() == [True, True]
+    seen.counts["verdict"] = 1
+    assert holds() == [True, False]
+    seen.counts["verdict"], seen.failed_diagnoses = 2, ["failed: was ended by SIGKILL"]
+    assert holds() == [True, False]
+    seen.failed_diagnoses, seen.oldest = [], 90.0
+    assert holds() == [False, True]
+    seen.oldest, seen.deleted = 70.0, 0
+    assert holds() == [False, True]
+
+
 def test_memory_threads_and_open_files_are_those_of_the_process() -> None:
     code = "input(); kept = b'1' * 40_000_000; opened = open('/dev/null'); Thread(target=input).start()"
     code = f"from threading import Thread; print(flush=True); {code}; print(flush=True)"

@@ -67,7 +67,10 @@ def _between(column: Floats, key: Floats, bag: Integers, period: float, longest:
     """Rows (n,) with one value, to which a column jumps, for so many rows at the longest, and back again."""
     found = np.zeros(column.size, dtype=bool)
     finite = np.isfinite(column)
-    values, counts = np.unique(key[finite], return_counts=True)
+    ordered = np.sort(key[finite])
+    if not np.any(ordered[_LEAST - 1 :] == ordered[: 1 - _LEAST]):  # a joint that moves: no value so often
+        return found
+    values, counts = np.unique(ordered, return_counts=True)
     for number in np.argsort(-counts, kind="stable")[:_CANDIDATES]:
         if counts[number] < _LEAST:
             break
@@ -81,9 +84,11 @@ def _between(column: Floats, key: Floats, bag: Integers, period: float, longest:
         has_left, has_right = ((side < rows) == before for side, before in ((left, True), (right, False)))
         has_left, has_right = has_left & (bag[left] == bag[rows]), has_right & (bag[right] == bag[rows])
         left, right = np.where(has_left, left, right), np.where(has_right, right, left)
+        away = np.minimum(*(_apart(column[side] - column[rows], period) for side in (left, right)))
+        if np.count_nonzero(away > _SMALLEST) < _LEAST:
+            continue
         step = _apart(column[own[1:]] - column[own[:-1]], period)[bag[own[1:]] == bag[own[:-1]]]
         least = max(_FAR * float(np.percentile(step, 99)), _SMALLEST) if step.size else np.inf
-        away = np.minimum(*(_apart(column[side] - column[rows], period) for side in (left, right)))
         back = (_apart(column[right] - column[left], period) <= least) & (has_left | has_right)
         jumps = (away > least) & back & (np.bincount(after)[after] <= longest)
         if np.unique(after[jumps]).size >= _LEAST:
