@@ -16,6 +16,7 @@ from timing import cpu_time, median_time, wall_time
 
 from hd_diag.drive import Drive, mesh_state, transmission_error
 from hd_diag.extended_model import ExtendedModel
+from hd_diag.model.flank_chain import chained
 from hd_diag.model.mesh import Mesh
 from hd_diag.model.threads import cores
 from hd_diag.model.torsion import torsion
@@ -109,6 +110,24 @@ def width(options):
             **{"value": each * US, "unit": "us", "ratio": each / plane, "against": "one section", **aims},
         }
         yield {"what": f"{told}: map", "value": took, "unit": "s", "aim": 1, "aim_unit": "s"}
+
+
+def flanks(options):
+    """The paper's drive, its flanks as double arcs and the same as chains of three pieces: a moment."""
+    turn, torque, own = np.linspace(0.0, 2 * np.pi, BATCH, endpoint=False), np.full(BATCH, TORQUE), mesh()
+    plain = own.geometry
+    low = plain.circular_spline_tip_radius - plain.circular_spline_datum
+    tooth = chained(plain.flexspline_tooth, plain.flexspline_root, plain.flexspline_tip)
+    slot = chained(plain.circular_spline_slot, 0.99 * low, plain.slot_end)
+    chains = dataclasses.replace(plain, flexspline_tooth=tooth, circular_spline_slot=slot)
+    arcs = None
+    for what, geometry in (("double arcs", plain), ("chains of three pieces", chains)):
+        each = median_time(torsion, dataclasses.replace(own, geometry=geometry), turn, torque) / BATCH
+        arcs = arcs or each
+        yield {
+            "what": f"{what}: torsion of a moment",
+            **{"value": each * US, "unit": "us", "ratio": each / arcs, "against": "double arcs"},
+        }
 
 
 def maps(options):
@@ -278,6 +297,7 @@ def tolerance(options):
 SECTIONS = {
     "moment": moment,
     "width": width,
+    "flanks": flanks,
     "maps": maps,
     "run_time": run_time,
     "growth": growth,

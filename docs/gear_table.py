@@ -15,6 +15,7 @@ import numpy as np
 from hd_diag.config.assessment import Assessment, assess
 from hd_diag.config.configuration import resolve
 from hd_diag.gears.catalogue import Gear, table
+from hd_diag.gears.page import Page
 
 TABLE = Path(__file__).with_name("tables") / "gears.md"
 ARCSEC = np.pi / 648_000.0  # [rad]
@@ -26,16 +27,15 @@ HEAD = (
 
 def assessed(gear: Gear) -> Assessment:
     """What the drive of a gear is."""
-    given = {f"joint_1.gear.{name}": getattr(gear, name) for name in gear._fields if name != "series"}
-    config = resolve(given)
+    config = resolve({f"joint_1.gear.{name}": value for name, value in gear.given.items()})
     return assess(config, config.joints[0])
 
 
 def rows(gears: Mapping[str, Gear]) -> Iterable[str]:
     """Lines of the table for some gears of it, those with the same page in one."""
-    same: dict[tuple[float, ...], list[str]] = {}
+    same: dict[Page, list[str]] = {}
     for name, gear in gears.items():
-        same.setdefault(tuple(gear[1:]), []).append(name)
+        same.setdefault(gear.page, []).append(name)
     for names in same.values():
         found = assessed(gears[names[0]])
         _, page, reached = found.torsion

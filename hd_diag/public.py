@@ -62,10 +62,9 @@ def gear(name: str | Mapping[str, Any] | None = None, /, **values: Any) -> Drive
     given: dict[str, Any] = {}
     if isinstance(name, str):
         try:
-            given = named(name)[1]._asdict()
+            given = dict(named(name)[1].given)
         except ValueError as error:
             raise ConfigError(str(error)) from error
-        del given["series"]
         given["ratio"] += values.get("output") == "circular_spline"  # the page's is of a fixed one
     elif name is not None:
         given = dict(name)

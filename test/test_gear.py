@@ -141,7 +141,7 @@ def curve_off(drive: Drive, found: Page) -> Any:
 
 
 def of_gear(gear: Gear) -> Config:
-    return resolve({f"joint_1.gear.{name}": getattr(gear, name) for name in NAMES})
+    return resolve({f"joint_1.gear.{name}": value for name, value in gear.given.items()})
 
 
 def check_page(config: Config) -> None:
@@ -416,10 +416,10 @@ def test_no_gear_of_the_table_is_refused_and_a_third_or_three_times_is_the_edge(
     gear = table()[name]
     for column in ("k1", "k2", "k3", "t1", "t2"):
         unit = "N m/rad" if column.startswith("k") else "N m"
-        assert usual(column, gear.size, gear.ratio) == pytest.approx(getattr(gear, column), rel=1.1)
+        assert usual(column, gear.size, gear.page.ratio) == pytest.approx(getattr(gear.page, column), rel=1.1)
         for factor, refused in ((1.4, False), (0.7, False), (6.5, True), (1.0 / 6.5, True)):
             try:
-                check(column, factor * getattr(gear, column), unit, gear.size, gear.ratio)
+                check(column, factor * getattr(gear.page, column), unit, gear.size, gear.page.ratio)
             except ValueError:
                 assert refused
             else:
@@ -625,7 +625,7 @@ def test_a_name_needs_no_numbers_and_what_is_given_beats_it(tmp_path: Path) -> N
     result = hd_diag("gear", "csg-25-100", "--out", out, "--joint", "elbow", "--k1", "2.8e4")
     assert result.exit_code == 0, result.output
     gear = table()["CSG-25-100"]
-    expected = {f"elbow.gear.{name}": getattr(gear, name) for name in NAMES} | {"elbow.gear.k1": 2.8e4}
+    expected = {f"elbow.gear.{name}": value for name, value in gear.given.items()} | {"elbow.gear.k1": 2.8e4}
     assert load(out).flat == resolve({"joints": ["elbow"], **expected}).flat | {
         "elbow.input_joint": "elbow_motor",
         "elbow.output_joint": "elbow",

@@ -182,9 +182,7 @@ def test_terms_are_explained_where_they_come_first() -> None:
 
 
 def test_stiffness_stands_beside_that_of_the_page_between_its_t1_and_t2() -> None:
-    config = resolve(
-        {f"joint_1.gear.{n}": value for n, value in table()["CSG-14-50"]._asdict().items() if n != "series"}
-    )
+    config = resolve({f"joint_1.gear.{n}": value for n, value in table()["CSG-14-50"].given.items()})
     motion = InputRecord(np.arange(300) * 0.01, np.linspace(0.0, 20.0, 300), None, np.zeros(300, np.int64))
     found = of_motion(motion, config.joints[0], config.flat, "nothing")
     assert [(one.low, one.high) for one in found.torsion.stiffness[1:]] == [(2.0, 6.9), (6.9, 13.8)]

@@ -67,8 +67,8 @@ def _of_name(name: str | None, output: str) -> dict[str, Any]:
         found = named(name)[1]
     except ValueError as error:
         raise Problem(str(error)) from error
-    values = {f"gear.{key}": value for key, value in found._asdict().items() if key != "series"}
-    return values | {"gear.ratio": found.ratio + (output == "circular_spline")}
+    values = {f"gear.{key}": value for key, value in found.given.items()}
+    return values | {"gear.ratio": found.page.ratio + (output == "circular_spline")}
 
 
 def _resolved(joint: str, own: dict[str, Any]) -> Config:

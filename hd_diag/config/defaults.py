@@ -16,7 +16,7 @@ from hd_diag.drive import Drive
 from hd_diag.formatting import rounded
 from hd_diag.gears import catalogue, page_fit
 from hd_diag.gears.characteristics import MeshOverTurn, slot_phases
-from hd_diag.gears.page import T1_SHARE, T2_SHARE, Page
+from hd_diag.gears.page import T1_SHARE, T2_SHARE, TENTH_OF_AN_INCH, Page
 from hd_diag.gears.page_fit import Width
 from hd_diag.gears.similarity import LEAST_TEETH, SECTIONS, similar
 from hd_diag.model.cams import CAMS
@@ -24,7 +24,7 @@ from hd_diag.model.mesh import Mesh
 
 DEFAULTS: Mapping[str, Value] = {p.name: p.default for p in JOINT_PARAMETERS}
 EXAMPLE = drive_from(DEFAULTS)
-_EXAMPLE_SIZE, _TENTH_OF_AN_INCH = 25.0, 2.54e-3  # a size is the pitch diameter [m] in these
+_EXAMPLE_SIZE = 25.0
 _UNITS = {p.name.removeprefix("gear."): p.unit for p in JOINT_PARAMETERS if p.name.startswith("gear.")}
 _CHECKED = {"k1", "k2", "k3", "t1", "t2"}  # go with the size
 
@@ -88,7 +88,7 @@ def page_of(given: Mapping[str, Value]) -> Page | None:
         found[name] = found[name] or given.get(name, 0.0)
     found["t1"] = found["t1"] or T1_SHARE * found["rated_torque"]
     found["t2"] = found["t2"] or T2_SHARE * found["rated_torque"]
-    found["pitch_diameter"] = diameter or size * _TENTH_OF_AN_INCH
+    found["pitch_diameter"] = diameter or size * TENTH_OF_AN_INCH
     for name, value in found.items():
         if value == 0.0 and name != "lost_motion":
             wanted = "size or gear.pitch_diameter" if name == "pitch_diameter" else name
@@ -104,7 +104,7 @@ def page_of(given: Mapping[str, Value]) -> Page | None:
 def _check_units(page: Mapping[str, float], given: Set[str]) -> None:
     """Refuse a stiffness or torque that no gear of the size has."""
     for name in sorted(_CHECKED & given):
-        size = page["pitch_diameter"] / _TENTH_OF_AN_INCH
+        size = page["pitch_diameter"] / TENTH_OF_AN_INCH
         try:
             catalogue.check(name, page[name], _UNITS[name], size, page["ratio"])
         except ValueError as error:
@@ -118,7 +118,7 @@ def usual_width(page: Page) -> dict[str, Value]:
 
 
 def _scale(page: Page) -> float:
-    return page.pitch_diameter / (_EXAMPLE_SIZE * _TENTH_OF_AN_INCH)
+    return page.pitch_diameter / (_EXAMPLE_SIZE * TENTH_OF_AN_INCH)
 
 
 @lru_cache(maxsize=256)

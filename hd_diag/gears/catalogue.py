@@ -15,9 +15,12 @@ import re
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+from hd_diag.gears.page import TENTH_OF_AN_INCH, Page
 
 _NAME = re.compile(r"([a-z]+)[ _/-]*(\d+)[ _/-]+(\d+)(?:[ _/-].*)?", re.IGNORECASE)  # units: CSG-25-100-2UH
+_COLUMNS = ("ratio", "rated_torque", "k1", "k2", "k3", "t1", "t2")  # of the table beside series and size
 _NEAREST = 3  # names that an error tells
 
 _FAR = 3.0  # from the table's, either way, no gear of a size is [-]
@@ -37,25 +40,29 @@ _UNITS = {
 
 
 class Gear(NamedTuple):
-    """A gear of the table: size [0.1 inch], ratio [-], torques [N m], torsional stiffness [N m/rad]."""
+    """A gear of the table: its series, its size [0.1 inch], and its page, of a fixed circular spline."""
 
     series: str
     size: float
-    ratio: float
-    rated_torque: float
-    k1: float
-    k2: float
-    k3: float
-    t1: float
-    t2: float
+    page: Page
+
+    @property
+    def given(self) -> dict[str, float]:
+        """What the table says, as the section ``gear`` of a parameter file has it."""
+        return {"size": self.size, **{name: getattr(self.page, name) for name in _COLUMNS}}
 
 
 @lru_cache(maxsize=1)
 def table() -> Mapping[str, Gear]:
     """All gears by their names, as CSG-25-100: series, size, ratio."""
     with Path(__file__).with_suffix(".csv").open(encoding="utf-8", newline="") as file:
-        rows = [Gear(series, *map(float, numbers)) for series, *numbers in list(csv.reader(file))[1:]]
-    return {f"{row.series}-{row.size:.0f}-{row.ratio:.0f}": row for row in rows}
+        rows = [_gear(**row) for row in csv.DictReader(file)]
+    return {f"{row.series}-{row.size:.0f}-{row.page.ratio:.0f}": row for row in rows}
+
+
+def _gear(series: str, size: str, **numbers: str) -> Gear:
+    values: dict[str, Any] = {name: float(numbers[name]) for name in _COLUMNS}
+    return Gear(series, float(size), Page(float(size) * TENTH_OF_AN_INCH, **values))
 
 
 def named(name: str) -> tuple[str, Gear]:
@@ -82,7 +89,7 @@ def _nearest(plain: str, parts: re.Match[str] | None) -> list[str]:
     def distance(name: str) -> tuple[float, float]:
         gear = table()[name]
         other = 1.0 - difflib.SequenceMatcher(None, gear.series, plain.partition("-")[0]).ratio()
-        return abs(math.log(gear.size) - size) + abs(math.log(gear.ratio) - ratio), other
+        return abs(math.log(gear.size) - size) + abs(math.log(gear.page.ratio) - ratio), other
 
     return sorted(table(), key=distance)[:_NEAREST]
 
@@ -93,10 +100,10 @@ def usual(name: str, size: float, ratio: float) -> float:
     Stiffness and torque go with the cube of the size: K between sizes 11 and 90 within a factor of 1.5, T1
     and T2 of all but the smallest too.
     """
-    ratios = {gear.ratio for gear in table().values()}
+    ratios = {gear.page.ratio for gear in table().values()}
     nearest = min(ratios, key=lambda each: abs(math.log(each / abs(ratio))))
-    same = [gear for gear in table().values() if gear.ratio == nearest]
-    logs = [math.log(getattr(gear, name) / gear.size**3) for gear in same]
+    same = [gear for gear in table().values() if gear.page.ratio == nearest]
+    logs = [math.log(getattr(gear.page, name) / gear.size**3) for gear in same]
     return size**3 * math.exp(math.fsum(logs) / len(logs))
 
 

@@ -8,6 +8,9 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 
+TENTH_OF_AN_INCH = 2.54e-3
+"""A gear's size is its pitch diameter in these [m]."""
+
 T1_SHARE, T2_SHARE = 0.25, 0.86
 """Torques T1 and T2 over the rated torque where no page gives them [-]."""
 
@@ -32,8 +35,8 @@ class Page(NamedTuple):
     k3: float
     t1: float
     t2: float
-    lost_motion: float
-    output: str
+    lost_motion: float = 0.0
+    output: str = "flexspline"
 
     @property
     def stiffness(self) -> tuple[float, float, float]:

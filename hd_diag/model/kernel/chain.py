@@ -98,6 +98,14 @@ def _corner(best: Touch, new: Touch, here: bool) -> Touch:
 
 
 @formula
+def _reach(wall: Floats, j: int) -> tuple[float, float]:
+    """Distances from the axis between which a piece of the wall is met; the outermost go on [m]."""
+    within = math.sqrt(wall[j, 3] * wall[j, 3] + wall[j, 4] * wall[j, 4])
+    beyond = math.sqrt(wall[j, 5] * wall[j, 5] + wall[j, 6] * wall[j, 6])
+    return within if j > 0 else 0.0, beyond if j < wall.shape[0] - 1 else math.inf
+
+
+@formula
 def close_chain(c: Constants, height: float, offset: float) -> Touch:
     """First contact of flanks that are chains; nan if the tooth does not reach the slots."""
     tooth, wall = c.tooth_chain, c.wall_chain
@@ -114,18 +122,14 @@ def close_chain(c: Constants, height: float, offset: float) -> Touch:
         outer = tip if last else np.sqrt(outer_x * outer_x + outer_y * outer_y)
         for j in range(wall.shape[0]):
             if _may_touch(tooth[i, 0], wall[j, 0]):
-                within = math.sqrt(wall[j, 3] * wall[j, 3] + wall[j, 4] * wall[j, 4]) if j > 0 else 0.0
-                beyond = math.sqrt(wall[j, 5] * wall[j, 5] + wall[j, 6] * wall[j, 6])
-                beyond = beyond if j < wall.shape[0] - 1 else math.inf
+                within, beyond = _reach(wall, j)
                 touch = _tangency(tooth[i], height, offset, wall[j])
                 least = larger(low + 0.0 * tip, larger(inner, within + 0.0 * tip) - c.slack)
                 most = smaller(tip, smaller(outer, beyond + 0.0 * tip) + c.slack)
                 best = _nearer(best, touch, least, most)
         best = _corner(best, _slot_tip(c, tooth[i], height, offset), (low >= inner) & (low <= outer))
     for j in range(wall.shape[0]):
-        within = math.sqrt(wall[j, 3] * wall[j, 3] + wall[j, 4] * wall[j, 4]) if j > 0 else 0.0
-        beyond = math.sqrt(wall[j, 5] * wall[j, 5] + wall[j, 6] * wall[j, 6])
-        beyond = beyond if j < wall.shape[0] - 1 else math.inf
+        within, beyond = _reach(wall, j)
         best = _corner(best, _tip_on_wall(wall[j], tip_x, tip_y), (tip >= within) & (tip <= beyond))
     return best
 
