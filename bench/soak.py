@@ -337,7 +337,7 @@ class Run:
             take(future.result())
 
     def _read_files(self, spare: int) -> None:
-        """Keep the stamps of the log's files but for the last ones, before they are old enough to go."""
+        """Keep the stamps of the log's files except for the last ones, before they are old enough to go."""
         written = {path: path.stat().st_mtime for path in self._files()}
         found = sorted(written, key=lambda path: written[path])
         self.seen.oldest = max(self.seen.oldest, time.time() - min(written.values(), default=time.time()))

@@ -59,7 +59,7 @@ def renewed(text: str, captions: str) -> str:
 
 
 def same_picture(one: str, other: str) -> bool:
-    """Whether two SVG files show the same but for rounding; those of another matplotlib are not compared."""
+    """Whether two SVG files show the same except for rounding; other versions of matplotlib are skipped."""
     makers = [re.findall(r"Matplotlib v[\d.]+", text) for text in (one, other)]
     if makers[0] != makers[1]:
         return True

@@ -1,4 +1,4 @@
-"""Make the pictures of pages anew: docs/images/report.png, the top of a report, and fleet.png, a week's page.
+"""Make the pages' pictures: docs/images/report.png, the top of a report, and fleet.png, a week's page.
 
     python docs/report_picture.py
 

@@ -2,10 +2,10 @@
 
     python docs/rerun.py docs/tour.md ...
 
-In blocks of the language ``console`` a line that begins with ``$ `` is a command, what follows is what it
-says, but for its progress. The commands of a page run one after the other in one shell, in an empty folder in
-which the folders of `TREE` are this tree's; ``hd-diag`` and ``python`` must be on the PATH. Blocks
-of the language ``sh`` are never run. What a page starts in the background is ended with it.
+In blocks of the language ``console`` a line that begins with ``$ `` is a command. Its output follows, without
+its progress. The commands of a page run one after the other in one shell, in an empty folder. There the
+folders of `TREE` are this tree's; ``hd-diag`` and ``python`` must be on the PATH. Blocks of the language
+``sh`` are never run. What a page starts in the background is ended with it.
 """
 
 # ruff: noqa: T201

@@ -91,7 +91,7 @@ def _signed(value: float) -> str:
 
 @drawn
 def sections_picture(found: AlongWidth) -> Figure:
-    """Backlash above, load below; of many sections as many as colours tell apart."""
+    """Backlash above, load below; of many sections as many as colours distinguish."""
     figure, (top, bottom) = sheet(5.4, 2, sharex=True)
     shown = np.unique(np.linspace(0, found.place.size - 1, len(SERIES)).round().astype(np.int64))
     for colour, dashes, number in zip(SERIES, DASHES, shown.tolist(), strict=False):

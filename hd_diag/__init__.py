@@ -6,9 +6,9 @@ Two flows use the same columns, the same alignment and the same model::
     offline  bag -> messages -> streams -> diagnosis: record -> findings -> fit -> residual -> search for
              causes -> refit -> held-out gain -> verdict -> report
 
-A replay is the live flow fed from a bag. Time is a message's stamp; silence alone goes by a monotonic clock.
+A replay is the live flow fed from a bag. Time is a message's stamp; a monotonic clock times silence alone.
 
-Rooms, each of which imports those above it alone:
+Rooms. Each imports only those above it:
 
 =================== ===================================================================================
 arrays              names of array types; beside it `formatting`, `memory`, `process_pool`, `whole_file`

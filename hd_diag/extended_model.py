@@ -173,7 +173,7 @@ class ExtendedModel:
 
     @cached_property
     def torsion_map(self) -> TorsionMap | None:
-        """The map by which a node predicts; None where the mesh has none: there the prediction is exact."""
+        """The map that a node predicts from; None where the mesh has none: there the prediction is exact."""
         return self._map(STEPS_PER_TOOTH)
 
     @cached_property

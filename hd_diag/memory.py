@@ -87,7 +87,7 @@ def watch_limit() -> None:
 
 
 def _code_of(child: int, watched: set[signal.Signals]) -> int:
-    """Exit code of a process, to which signals are passed on."""
+    """Exit code of a process; signals are passed on to it."""
     while (came := signal.sigwaitinfo(watched)).si_signo != signal.SIGCHLD:
         if came.si_code <= 0:  # of a process; a terminal's comes to both
             os.kill(child, came.si_signo)

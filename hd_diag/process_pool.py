@@ -37,7 +37,7 @@ class Failure:
 
 
 class Pool(Protocol):
-    """Workers, each of which does one task at a time."""
+    """Workers; each does one task at a time."""
 
     def workers(self) -> Iterable[Any]:
         """Those that are there."""

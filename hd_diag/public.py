@@ -57,7 +57,7 @@ def gear(name: str | Mapping[str, Any] | None = None, /, **values: Any) -> Drive
     Raises
     ------
     ConfigError
-        For a name that is not in the table, and for values of which no drive can be made.
+        For a name that is not in the table, and for values that no drive can have.
     """
     given: dict[str, Any] = {}
     if isinstance(name, str):

@@ -310,7 +310,7 @@ a second publisher of a joint | node | a warning until one goes
     test_node.py::test_a_second_publisher_of_a_joint_is_a_warning_until_it_goes
 a publisher of best effort | node | heard likewise
     test_node.py::test_a_best_effort_publisher_that_appears_later
-a clock set back | node | state begins anew
+a clock set back | node | state starts again
     test_node.py::test_simulated_time_that_jumps_back
 stamps of zero | node, bags | the time of reception stands for them; counted and said
     test_stamps_of_zero.py::test_stamps_of_zero_are_the_time_of_reception_and_that_is_said
@@ -322,7 +322,7 @@ efforts or velocities fewer than names | node, bags | not read; what is mapped b
     test_stamps_of_zero.py::test_what_is_not_mapped_is_not_checked
 a recorder's clock set back | bags | told; what comes after is another recording
     test_recorder_clock.py::test_a_record_begins_another_recording_there
-a message without a payload | node | subscribed anew after 3.5 s; what is withheld counts as lost; a warning
+a message without a payload | node | subscribed again after 3.5 s; what is withheld counts as lost; a warning
     test_node_losses.py::test_what_a_message_without_a_payload_holds_up_is_counted_and_the_rest_is_taken
 more messages than the node can take | node | all are taken or counted as lost; a warning
     test_node_losses.py::test_all_of_a_flood_is_accounted_for_and_said

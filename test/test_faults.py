@@ -73,7 +73,7 @@ def test_a_bad_value_is_refused_by_check(given: dict[str, object], reason: str, 
 
 
 def test_the_page_is_this_table_and_the_tests_that_it_names_exist() -> None:
-    assert PAGE.read_text(encoding="utf-8") == faults.page(), "python test/faults.py writes it anew"
+    assert PAGE.read_text(encoding="utf-8") == faults.page(), "python test/faults.py writes it again"
     for *_, proof in EVENTS:
         file, _, name = proof.partition("::")
         tree = ast.parse((Path(__file__).parent / file).read_text(encoding="utf-8"))

@@ -223,7 +223,7 @@ def test_a_velocity_without_its_output_is_told(life: Life) -> None:
     made = states(["joint_1"], [life.now], None, None, [[1.0]])
     made = made._replace(signals=made.velocity, keys=("joint_1.input",))
     life.monitor.mixed_states(np.array([life.now]), (made,))
-    said = "its velocity arrives, but no angle of the output from which it could be integrated"
+    said = "its velocity arrives, but no angle of the output to begin its integral from"
     assert life.report().message.endswith(said)
 
 

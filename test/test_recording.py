@@ -323,7 +323,7 @@ def test_a_velocity_in_a_table_is_integrated_as_in_a_bag(
     assert (record.by_velocity, expected.by_velocity) == (True, True)
     for name in ("time", "input_angle", "output_angle", "torque", "reported_speed"):
         assert_allclose(getattr(record, name), getattr(expected, name), rtol=0, atol=1e-8, err_msg=name)
-    with pytest.raises(RecordError, match="needs the output's angle, from which its integral goes on"):
+    with pytest.raises(RecordError, match="needs the output's angle to begin its integral from"):
         read_table_motion([path], Table({"time": "t", "input": "v[rpm]", "torque": "tau"}), joint())
 
 

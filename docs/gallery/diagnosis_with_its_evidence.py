@@ -1,4 +1,4 @@
-"""A hidden eccentricity found in a record: what is left of the error, step by step, beside the noise."""
+"""A hidden eccentricity found in a record: the error that remains, step by step, beside the noise."""
 
 import subprocess
 import textwrap

@@ -32,7 +32,7 @@ def _section(effect: Effect) -> str:
         quantities,
         f"**Inspect.** {plain(effect.inspect)}",
         f"**Confused with** {', '.join(map(link, effect.confused_with))} in poor records.",
-        f"**Never told apart from** {never}." if never else "",
+        f"**Never distinguished from** {never}." if never else "",
         f"Source: {plain(effect.source)}.",
     ]
     return "\n\n".join(filter(None, paragraphs))

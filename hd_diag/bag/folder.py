@@ -139,9 +139,9 @@ def unpack(path: Path, stack: ExitStack, files: int = 1) -> tuple[Path, str]:
 
 
 def unpacked(path: Path, block: Block, stated: bool) -> Iterator[Block]:
-    """Messages, each of which may be compressed, a few megabytes at once; BagError as `decompressed`.
+    """Messages, each perhaps compressed, a few megabytes at once; BagError as `decompressed`.
 
-    Without metadata by which that is `stated` the messages themselves tell it.
+    Where no metadata has `stated` it, the messages themselves tell it.
     """
     begins = block.data[block.offset[block.size >= len(_ZSTD_FRAME)]]
     if not stated and not (begins == _ZSTD_FRAME[0]).any():

@@ -155,7 +155,7 @@ class OnDisk:
 def pieces(content: Content, keep: Callable[[bytes], None]) -> Iterator[tuple[int, int, Block]]:
     """Place and size [byte] of pieces of whole records, one after the other, and the messages in them.
 
-    A message above `LARGE` is a piece of its own, of which the block has the head alone. Raises ValueError as
+    A message above `LARGE` is a piece of its own; the block has only its head. Raises ValueError as
     `parse`, and where a record at the end is not whole.
     """
     place, size, rest = 0, PIECE, b""
@@ -209,7 +209,7 @@ def parse(content: bytes, keep: Callable[[bytes], None]) -> tuple[Block, int]:
 
 
 def head_of(content: bytes) -> Block:
-    """The message that begins here, of which the head alone is needed."""
+    """The message that begins here; only its head is needed."""
     return _messages_at(content[: MESSAGE.size], np.zeros(1, np.int64))
 
 

@@ -1,7 +1,7 @@
 """One MCAP file being written: small chunks that reach the operating system whole, and a summary at the end.
 
 A file that is cut off anywhere holds every chunk that was closed before. Records are those of `mcap`; only
-messages and their indexes, of which there are many, are laid out here, https://mcap.dev/spec.
+messages and their many indexes are laid out here, https://mcap.dev/spec.
 """
 
 from __future__ import annotations

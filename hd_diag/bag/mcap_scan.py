@@ -252,7 +252,7 @@ class Scan:
             return replace(head_of(content.take(MESSAGE.size)), long=LongMessage(size, read))
 
     def load_part(self, offset: int, end: int) -> Iterator[Block]:
-        """Messages at the beginning of a chunk of which the file has the bytes from `offset` to `end`.
+        """Messages at the beginning of a chunk; the file has its bytes from `offset` to `end`.
 
         Compression works in blocks, so that the blocks before a cut can be read.
         """

@@ -20,7 +20,7 @@ from hd_diag.bag.recorder_clock import SET_BACK, RecorderClock
 
 # What is read ahead takes no more memory than this [byte].
 _AHEAD = 6 << 20
-# More than this is never held back for sorting [byte].
+# No more than this waits for sorting [byte].
 _MAX_HELD = 32 << 20
 
 

@@ -70,7 +70,7 @@ class BagReader(AbstractContextManager["BagReader"]):
         Least and greatest log time [ns]; 0 and 0 for an empty bag.
     problems : list of str
         One line for each file that is not finished: it was cut off, is damaged, or is still being written.
-        What precedes the damage is read. One for each topic of which there are not as many messages as the
+        What precedes the damage is read. One for each topic with fewer messages than the
         metadata count, or, once they were read, as a file counts. Empty for a whole bag.
     paths : list of Path
         Storage files in order.
@@ -166,7 +166,7 @@ class BagReader(AbstractContextManager["BagReader"]):
                 self._compare(path.name, stated, there)
 
     def _compare(self, what: str, counted: Mapping[str, int], found: Mapping[str, int]) -> None:
-        """Note topics of which there are not as many messages as counted."""
+        """Note topics with fewer messages than counted."""
         for name, count in counted.items():
             line = str(BagError(what, f"counts {count} messages of {name}, there are {found.get(name, 0)}"))
             if found.get(name, 0) != count and line not in self.problems:

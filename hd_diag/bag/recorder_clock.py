@@ -29,7 +29,7 @@ class RecorderClock:
         self._reach: dict[int, int] = {}  # greatest log time of each channel [ns]
 
     def stretches(self, block: Block) -> Iterator[Block]:
-        """Parts of a block, in the order of its file, within each of which the clock was not set back."""
+        """Parts of a block, in the order of its file; within each the clock was not set back."""
         bounds = [0, *self.set_back(block.channel, block.log_time), len(block)]
         if len(bounds) == 2:
             yield block

@@ -37,7 +37,7 @@ class LogFolder:
     fixed: bool = False
 
     def bag(self) -> Path:
-        """Path of the bag of a start that begins now; nobody has it but for a fixed one."""
+        """Path of the bag of a start that begins now; nobody has it except for a fixed one."""
         is_file = self.path.suffix == ".mcap"
         if self.fixed or (is_file and not os.path.lexists(self.path)):
             return self.path

@@ -17,7 +17,7 @@ from hd_diag.report.pictures.canvas import save
 from hd_diag.streams.columns import LARGEST_TORQUE
 
 _CAPTIONS = "figures.md"
-_MOST_SIZES = 6  # eccentricities that colours and dashes tell apart
+_MOST_SIZES = 6  # eccentricities that colours and dashes distinguish
 
 
 def figures(

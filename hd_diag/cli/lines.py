@@ -14,7 +14,7 @@ from hd_diag.formatting import visible
 if TYPE_CHECKING:
     from rich.table import Table
 
-_LONGEST = 2000  # characters of a line, of which some may come from a file
+_LONGEST = 2000  # characters of a line; a file may supply some of them
 _WIDEST = 1000  # characters of a table in a pipe: rich wraps what is wider
 
 

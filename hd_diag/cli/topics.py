@@ -32,7 +32,7 @@ from hd_diag.records.table_columns import TableColumns, table_columns
 _SHOWN, _NAMED = 40, 12  # numbers of a topic; joints of a publisher
 _TABLES = (".csv", ".tsv", ".txt", ".dat", ".asc")
 _TORQUES = "torque", "current"
-_DIFFERS = 0.02  # part by which the ratio of two angles may differ from a described one
+_DIFFERS = 0.02  # relative difference allowed between the ratio of two angles and a described one
 
 
 def topics(bag: Path, urdf: Path | None, config_file: str | None, json_file: str | None) -> None:
@@ -207,13 +207,13 @@ def _topic(duration: float, topic: Topic, content: Contents) -> dict[str, Any]:
 
 
 def _rate(stamps: Floats) -> float | None:
-    """How often messages with these stamps [s] came [Hz]; None where that cannot be told."""
+    """How often messages with these stamps [s] came [Hz]; None where that is unknown."""
     span = float(np.ptp(stamps)) if stamps.size > 1 else 0.0
     return (stamps.size - 1) / span if span > 0.0 else None
 
 
 def _alone(every: list[NumericField], paired: set[int]) -> list[NumericField]:
-    """Angles of joints of which no second one is known; one for each joint."""
+    """Angles of joints without a known second angle; one for each joint."""
     joints = {n.tag for n in every if id(n) in paired}
     found: dict[str, NumericField] = {}
     for n in sorted(every, key=lambda n: not n.is_called_so):

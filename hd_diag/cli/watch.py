@@ -51,7 +51,7 @@ def watch(
                 is_faulty = not came and _show_once(state, timeout, json_file)
             else:
                 is_faulty = _follow(state, listener, came, fail_on_fault, json_file)
-        except BrokenPipeError:  # whoever read has enough: no matter which signal came
+        except BrokenPipeError:  # the reader has enough: no matter which signal came
             raise
         except OSError as error:
             raise Problem(f"{json_file}: cannot be written: {error.strerror}") from error

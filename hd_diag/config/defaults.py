@@ -112,7 +112,7 @@ def _check_units(page: Mapping[str, float], given: Set[str]) -> None:
 
 
 def usual_width(page: Page) -> dict[str, Value]:
-    """Width of a page's teeth, the length of its cup and sections, of which pages say nothing."""
+    """Width of the teeth, length of the cup, and sections: pages do not give them."""
     geometry = similar(EXAMPLE.mesh.geometry, _scale(page), EXAMPLE.mesh.geometry.flexspline_teeth)
     return {name: getattr(geometry, name) for name in ("face_width", "cup_length", "sections")}
 
@@ -151,7 +151,7 @@ def scaled(drive: Drive) -> dict[str, Value]:
 
 @lru_cache(maxsize=256)
 def _at_rest(mesh: Mesh) -> Mapping[str, float]:
-    """By which teeth and lobes overlap as built, without torque [m], by the limits of these."""
+    """Overlap of teeth and lobes as built, without torque [m], by the names of their limits."""
     perfect = replace(mesh, eccentricity=0.0, runout=0.0, tilt=0.0)
     teeth = MeshOverTurn(perfect, slot_phases(mesh.geometry))
     overlap, interference = max(teeth.overlap(), 0.0), max(-teeth.least_backlash(), 0.0)

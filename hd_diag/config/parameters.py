@@ -23,7 +23,7 @@ class ConfigError(ValueError):
 
 
 class ContentError(ConfigError):
-    """What a file holds is wrong, of which the text tells some; `discreet` is for who may not read it."""
+    """A file's content is wrong. The text quotes some of it; `discreet` is for readers who may not see it."""
 
     def __init__(self, text: str, discreet: str = "") -> None:
         super().__init__(text)

@@ -174,7 +174,7 @@ class ContactTable:
     def teeth_beyond(self, displacement: Displacement, coefficients: tuple[float, ...]) -> Floats:
         """What errors of the flexspline's teeth do at their size beyond their first order [rad].
 
-        Shape (PHASES, torques, angles): at phases ``pi n / PHASES`` by which the flexspline has turned under
+        Shape (PHASES, torques, angles): at phases ``pi n / PHASES`` of the flexspline's turn under
         the wave generator.
         """
         return self._kept.get(
@@ -264,7 +264,7 @@ class ContactTable:
 
     @cached_property
     def _begin(self) -> tuple[Integers, int]:
-        """For each flank the torque node from which it bears as the torque rises (+) or falls (-).
+        """For each flank the first torque node at which it bears as the torque rises (+) or falls (-).
 
         As one index into an array (side, node, angle), flank after flank, with the number of nodes; the last
         node is for flanks that never bear.

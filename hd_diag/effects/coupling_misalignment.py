@@ -49,7 +49,7 @@ EFFECT = CouplingMisalignment(
         ),
         direction("direction", "input angle at which the wave generator begins to lead", 2),
         Quantity(
-            "play", "rad", 0.0, _MOST_PLAY, 2e-4, "by which the coupling lets the shafts turn", strict=True
+            "play", "rad", 0.0, _MOST_PLAY, 2e-4, "free angle between the shafts in the coupling", strict=True
         ),
         switch("plays", "1: with play", (0.0, 1.0)),
     ),

@@ -190,7 +190,7 @@ class Effect:
         return by_run(signals, lambda run: self.step(self.start(nonlinear), run, coefficients, nonlinear)[0])
 
     def wandering(self, signals: Signals, nonlinear: Values) -> Floats:
-        """Columns by which it may wander over a record, beside its own, shape (n, k).
+        """Columns that let it wander over a record, in addition to its own, shape (n, k).
 
         They are fitted with it, and are no part of a model that runs: nothing predicts them.
         """
@@ -318,8 +318,8 @@ def seen_at(
 ) -> Signals:
     """Signals for the effects of a stage: the spring carries errors of the teeth, a late stream shows all.
 
-    From those with the base model's own prediction and what effects add [rad] (n,) each, of which those of
-    the same and later stages do not count; the rate is the derivative by time of values at the samples.
+    From those with the base model's own prediction and what effects add [rad] (n,) each. Effects of the same
+    and later stages do not count; the rate is the derivative by time of values at the samples.
     """
     before = [(effect, part) for effect, part in parts if Stage.GEAR <= effect.stage < stage]
     if stage == Stage.SPRING:

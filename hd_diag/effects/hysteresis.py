@@ -16,7 +16,7 @@ from hd_diag.formatting import ARCSEC
 
 _BENDING, _SLIPPING = (0.06, 0.15, 0.4), (0.03, 0.09, 0.25)  # of the rated torque
 _ELEMENTS = np.linspace(-1.0, 1.0, 4)  # powers of the spread over the slip elements
-_AGAINST = 0.5  # of the larger amplitude, up to which the other may only bend the loop
+_AGAINST = 0.5  # of the larger amplitude; below it the other only bends the loop
 _SWING = 0.1  # of the rated torque, that must be reversed twice
 
 # Last torque [N m], None before the first sample; z of the bend and of the elements.

@@ -23,7 +23,7 @@ def _nothing(signals: Signals, nonlinear: Values) -> Floats:
 class MeshTorque(Effect):
     """The mesh bears the reported torque and ``sum c_k shape_k``; several such causes add up in one torque.
 
-    Where it is the `reported` torque that is wrong, what smooths that smooths it as well, but for waves of
+    Where it is the `reported` torque that is wrong, what smooths that smooths it as well, except for waves of
     the input's turn where it leaves these. The `shape` makes torque [N m per unit of the coefficients], shape
     (n, size), of signals and nonlinear values; what depends on earlier samples overrides `torque_step`
     instead.

@@ -23,7 +23,7 @@ class OrderLine(Effect):
 
 ORDER_LINE = OrderLine(
     name="order_line",
-    cause="A wave of this order, of which no cause is known.",
+    cause="A wave of this order without a known cause.",
     kind="kinematic",
     frame="input",
     needs=("output_angle", "torque"),

@@ -30,8 +30,8 @@ LOWEST = 10.0
 _COARSE = 6  # natural frequencies per order in the grid
 _FINE = 60  # in a scan
 _DAMPINGS = (0.03, 0.08)  # [-]
-_SLACK = 2.5e-3  # torque over the rated one, by which half of the ripple passes the backlash
-_TICK = 2.0**-40  # [s]; steps of the time are told apart by no less
+_SLACK = 2.5e-3  # over the rated torque: with this torque half of the ripple passes the backlash
+_TICK = 2.0**-40  # [s]; steps of the time are distinguished by no less
 _BINS = 256  # of the wave generator's speed, in a scan
 
 Before = tuple[tuple[float, float, float], tuple[complex, ...]]

@@ -49,7 +49,7 @@ EFFECT = ThermalDrift(
     grid=((1.0,), (60.0,), (300.0,)),
     quantities=(
         Quantity("drift", "rad/K", -1e-3, 1e-3, 1.0 * ARCSEC, "g, at the output per kelvin"),
-        Quantity("lag", "s", 0.0, 3600.0, 60.0, "tau, by which it follows the sensor", linear=False),
+        Quantity("lag", "s", 0.0, 3600.0, 60.0, "tau, with which it follows the sensor", linear=False),
     ),
     confused_with=("ratio_error", "output_runout", "viscous_windup"),
     source="first-order lag of what turns behind the sensor that is measured",

@@ -15,7 +15,7 @@ from hd_diag.effects.signals import Signals
 _FIRST, _SECOND = (0.08, 0.18, 0.35), (0.5, 0.8)  # of the greatest torque
 _WIDTHS = (0.01, 0.5)  # of the knees
 _SHARP = 1e-6  # [N m]; no knee is sharper
-_MOST = 100.0  # times the usual compliance: no torque is near a knee of which so much is needed
+_MOST = 100.0  # times the usual compliance: beyond it no torque comes near the knee
 _PLACES = 24  # torques at which the added compliance is looked at
 _LEAST = 0.25  # of the rated torque, that the record must reach
 

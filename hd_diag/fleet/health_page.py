@@ -21,7 +21,7 @@ from hd_diag.report.advice import GREEN, STATES
 from hd_diag.report.facts import Fact, versions
 
 _SIGNS = {"red": "✕", "amber": "!", "green": "✓", "not_judged": "?"}
-_STALE = 8.0  # behind the newest recording of the fleet, from which a row says so [days]
+_STALE = 8.0  # behind the fleet's newest recording; an older row says so [days]
 _WIDTH, _HEIGHT, _EDGE = 132.0, 40.0, 4.0  # of a small trend
 _TOP = 2.0  # of its axis, in limits; what is larger is drawn there
 _LEAST_TOP = 1.25
@@ -83,7 +83,7 @@ def health_page(found: Health, facts: Sequence[Fact]) -> str:
 
 
 def _prefix(joints: set[str]) -> str:
-    """What all names begin with, but for their numbers; empty where one would have no name without it."""
+    """What all names begin with, except for their numbers; empty where one would have no name without it."""
     prefix = os.path.commonprefix(list(joints)).rstrip("0123456789") if len(joints) > 1 else ""
     return "" if prefix in joints else prefix
 
@@ -123,7 +123,7 @@ def _small(one: Standing, ends: tuple[float, float] | None) -> Small | None:
 
 
 def _filters(robots: int) -> str:
-    """Rules by which the choices of the page hide rows."""
+    """Style rules: the page's choices hide rows."""
     hidden = {f"show-{state}": f":not(.{state})" for state in STATES}
     hidden |= {"show-look": ".green", "show-changed": ":not(.changed)"}
     hidden |= {f"robot-{n}": f":not(.robot-{n})" for n in range(robots)}

@@ -1,4 +1,4 @@
-"""What a run keeps as it comes: results, with which an interrupted run goes on, and pages of joints."""
+"""Results and pages of joints that a run keeps at once: an interrupted run continues from them."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ Row = dict[str, Any]
 """Values by the names of `hd_diag.fleet.table.COLUMNS`; what is missing is unknown. `start` is in nanoseconds
 since 1970."""
 
-_CONTENT = "4"  # of rows: results that a journal holds with another are made anew
+_CONTENT = "4"  # of rows: results that a journal holds with another are made again
 
 FITTED = {
     "eccentricity.magnitude": ("eccentricity{}_m", "m", "eccentricity, refitted"),

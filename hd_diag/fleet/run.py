@@ -59,7 +59,7 @@ class Survey:
 
 @dataclass(frozen=True)
 class Fleet:
-    """Which bags, which of the configuration's joints, and how robots are told apart.
+    """Which bags, which of the configuration's joints, and how robots are distinguished.
 
     The pattern's first group (or the whole match) in a bag's path names the robot, None = one robot.
     """
@@ -127,7 +127,7 @@ def survey(path: str) -> Survey:
 
 
 def tasks(seen: Survey, config: Config, joints: tuple[JointConfig, ...]) -> list[Task]:
-    """The joints of a configuration of which a bag holds an angle, or a topic that a signal is mapped to."""
+    """The configured joints that a bag has an angle of, or a topic that a signal is mapped to."""
     found = []
     for joint in joints:
         mapped = tuple(f"/{signal.topic.lstrip('/')}" for signal in joint.mapped.values() if signal.topic)

@@ -52,8 +52,8 @@ def series_of(rows: Sequence[Row], limits: Limits) -> list[Series]:
     Eccentricity where the refit is trustworthy [m]; transmission error without torsion, peak to peak [rad];
     held-out residuals, nominal and refitted [rad]; the amplitude of each cause found at least once [rad rms].
     Where a cause was not found but could have been, its amplitude is 0 with half the least size found as
-    standard deviation; names that a record could not tell apart make one cause. Of a joint with one angle the
-    amplitude of each line of its torque that was found at least once [N m].
+    standard deviation; names that a record could not distinguish make one cause. A joint with one angle
+    has the amplitude of each line of its torque that was found at least once [N m].
     """
     joints: dict[tuple[str, str], list[Row]] = defaultdict(list)
     for row in sorted(rows, key=lambda row: (row.get("start") or 0, row["bag"])):
@@ -110,7 +110,7 @@ def _of_errors(rows: list[Row]) -> dict[str, list[Point]]:
 
 
 def classes(of_rows: Iterable[Sequence[Sequence[str]]]) -> list[frozenset[str]]:
-    """Names of causes, those together that any row could not tell apart, in the order of their names."""
+    """Names of causes, those together that any row could not distinguish, in the order of their names."""
     merged: list[frozenset[str]] = []
     for alike in (frozenset(names) for row in of_rows for names in row):
         touching = [one for one in merged if one & alike]

@@ -1,4 +1,4 @@
-"""How each joint stands: the colour of its last recording, by which limits, since when, and what changed.
+"""How each joint stands: the colour of its last recording, the limits behind it, since when, and changes.
 
 One rule, for a recording of a joint:
 
@@ -33,7 +33,7 @@ from hd_diag.formatting import si, size, words
 from hd_diag.report.advice import AMBER, GREEN, GREY, RED, STATES
 
 _COVERED = 0.5  # of a bag, that a joint's samples must cover: drivers may start late, or stop early
-_REFUSED = 0.05  # of the samples, up to which the verdict alone tells that they were refused
+_REFUSED = 0.05  # of the samples; with fewer only the verdict says that they were refused
 _NO_TORQUE = "its torque is not measured, so its error may be torsion and is not held against the accuracy"
 _ONE_ANGLE = "one angle alone: no transmission error, only lines of the torque"
 

@@ -190,7 +190,7 @@ def notes(found: Health) -> list[str]:
     first, second = (readable(row["bag"]) for row in pairs[0])
     return [
         f"recorded at the same time: one joint in {first} and {second}{more}. Are they of several robots? "
-        "--robot tells them apart; now they count as one."
+        "--robot distinguishes them; now they count as one."
     ]
 
 

@@ -77,7 +77,7 @@ COLUMNS = pa.schema(
         _column("error_std_rad", _NUMBER, "rad", "its standard deviation"),
         _column("accuracy_rad", _NUMBER, "rad", "what the catalogue allows it to be"),
         _column("eccentricity_allowed_m", _NUMBER, "m", "eccentricity that the assembly may have"),
-        _column("eccentricity_criterion", _TEXT, "", "by which criterion of hd-diag tolerance"),
+        _column("eccentricity_criterion", _TEXT, "", "criterion of hd-diag tolerance that sets the limit"),
         _column("inspect", _TEXTS, "", "what to look at in the joint"),
         _column("bag_duration_s", _NUMBER, "s", "from the first to the last message of the bag"),
         _column("page", _TEXT, "", "file with its own page, by --report"),

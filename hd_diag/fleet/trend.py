@@ -127,7 +127,7 @@ def _tested(trend: Trend, penalty: float, rng: np.random.Generator) -> Trend:
 
 
 def least_values(tests: int) -> int:
-    """Values from which on the clearest step possible is reported among so many tests.
+    """Least number of values with which the clearest step is reported among so many tests.
 
     Of the n! orders of n values split in the middle, 2 (n/2)!² are as clear as the clearest: p is at least 2
     / (n over n/2).

@@ -18,7 +18,7 @@ from hd_diag.model.load_sharing import FlankTorsion, flank_stiffness
 from hd_diag.model.mesh import Mesh, largest_displacement
 
 SMALLEST_SHARE = 1.0 / 14.0
-"""Torque over T1 from which K1 is measured [-]: below it the gap is taken up."""
+"""Least torque over T1 at which K1 is measured [-]: below it the gap is taken up."""
 
 ECCENTRICITIES = (5e-6, 10e-6, 20e-6)
 """At which the error of an eccentricity is shown [m]: it is far from linear."""
@@ -29,7 +29,7 @@ PHASES = 16
 """Wave generator angles in a slot pitch, where each is like the others."""
 
 _MOMENTS = 128  # of a turn
-_FINE_ECCENTRICITY = 0.02e-6  # to which that of an overlap is found [m]
+_FINE_ECCENTRICITY = 0.02e-6  # resolution of the eccentricity of an overlap [m]
 # Over half a turn, which is a period of the error, and over a slot pitch at each: orders of teeth cancel.
 _ERROR_MOMENTS, _ERROR_PHASES = 8, 3
 
@@ -122,7 +122,7 @@ class MeshOverTurn:
         return float(np.nanmin(self._contact.rotation * self._contact.radius))
 
     def overlap(self) -> float:
-        """By which both lobes press against each other without torque [m]; negative: clearance."""
+        """Overlap of both lobes without torque [m]; negative: clearance."""
         radius = np.where(np.isnan(self._contact.rotation), np.nan, self._contact.radius)
         return float((-self.torsion.gap * np.nanmean(radius, axis=(1, 2))).max())
 

@@ -19,11 +19,11 @@ from hd_diag.gears.page import Page
 from hd_diag.gears.similarity import module_scale, moved, similar
 from hd_diag.model.mesh import Mesh
 
-_PROBED = 4e-6  # by which slots move to tell the overlap's change, of a drive with the known one's module [m]
+_PROBED = 4e-6  # shift of the slots that shows the overlap's change, for the known drive's module [m]
 _AROUND = (-40e-6, 10e-6)  # in which a page's place is looked for, from where teeth come free [m]
 _PLACES = 14  # tried first: where sections come to bear one after the other there are several good ones
 _FARTHEST = 120e-6  # from the place that the module gives; beyond, teeth are others [m]
-_FINE = 0.02e-6  # to which a place is found; 0.1 % of the torsion at T1/10 [m]
+_FINE = 0.02e-6  # resolution of a place; 0.1 % of the torsion at T1/10 [m]
 _FEW = 4  # phases of the teeth at which these are
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 _POWER = 8  # of relative errors in a miss: the largest alone nearly counts; even

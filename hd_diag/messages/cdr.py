@@ -21,7 +21,7 @@ class Walk:
     """Reads a CDR message; places count from its first byte, alignment from the end of its header.
 
     All of it raises ValueError where the message is malformed. `fixed` holds begin and end of the bytes on
-    which places depend: lengths, and texts by which elements are found.
+    which places depend: lengths, and texts that identify elements.
     """
 
     def __init__(self, data: bytes, store: Typestore) -> None:
@@ -110,7 +110,7 @@ class Walk:
         return place
 
     def _known(self, begin: int) -> tuple[str, int]:
-        """A text by which an element is found, and its end."""
+        """A text that identifies an element, and its end."""
         begin, end = self.text(begin)
         self.fixed.append((begin, end))
         self.names.append(self.data[begin:end].rstrip(b"\0").decode("utf-8", "replace"))

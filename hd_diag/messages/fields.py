@@ -1,7 +1,7 @@
 """Numbers of messages of any type as columns.
 
 CDR puts the same things at the same places in every message with the same lengths. Places are worked out once
-for each such layout, from one message; the others are compared with it in all bytes on which they depend.
+for each such layout, from one message; the others are compared with it in all bytes that matter.
 """
 
 from __future__ import annotations

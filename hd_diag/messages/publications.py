@@ -34,7 +34,7 @@ INPUT = "joint_states"
 """Topic that a node listens to, by its name in the node's namespace."""
 
 OWN_OUTPUTS = ("/transmission_error", "/measured_transmission_error", "/residual")
-"""Ends of the topics on which the node publishes JointState: no joint's states."""
+"""Ends of the node's own JointState topics: no joint's states."""
 
 _NANOSECONDS = 1_000_000_000
 

@@ -29,7 +29,7 @@ Nomenclature
     L           cup length, from its bottom, which stays round, to the middle section [m]
     R_b         radius of the circle as long as the neutral curve [m]
     Z_R, Z_G    numbers of teeth of the flexspline and the circular spline
-    r_0         datum radius from which the slot's x is measured [m]
+    r_0         datum radius: origin of the slot's x [m]
     K1 + K2     compliance of a tooth pair: deflection per force [m/N]
     D = r b     circumferential backlash [m]
 

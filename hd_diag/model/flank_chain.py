@@ -16,8 +16,8 @@ from hd_diag.model.tooth_profile import DoubleArc
 TOLERANCE = 1e-7
 """Distance within which a chain follows points [m]: a tenth of a micrometre, as flanks are measured."""
 
-_STRAIGHT = 1e-6  # [rad], by which a piece turns that is no line
-_SMOOTH = 1e-3  # [rad], by which the direction may change where two pieces meet
+_STRAIGHT = 1e-6  # [rad]; a piece that turns less is a line
+_SMOOTH = 1e-3  # [rad]; allowed change of direction where two pieces meet
 _FEWEST = 4  # points, that a flank needs
 
 
@@ -99,7 +99,7 @@ class FlankChain:
         return self.numbers[-2]
 
     def covers(self, low: float, high: float) -> bool:
-        """Whether it reaches from one height to another [m], but for the tolerance of its points."""
+        """Whether it reaches from one height to another [m], except for the tolerance of its points."""
         return self.start - TOLERANCE <= low <= high <= self.end + TOLERANCE
 
     def half_width(self, x: float) -> float:

@@ -32,7 +32,7 @@ class Geometry:
     circular_spline_slot : DoubleArc or FlankChain
         Wall of the slot; x from the datum radius [m].
     circular_spline_datum : float
-        r_0, radius from which the slot's x is measured [m].
+        r_0, radius at the origin of the slot's x [m].
     circular_spline_tip_radius : float
         Radius at which the slot's wall begins [m].
     face_width : float

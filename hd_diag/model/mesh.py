@@ -77,7 +77,7 @@ class Mesh:
 
 
 def contiguous(values: float | Floats) -> Floats:
-    """Contiguous and free to be written to: numba would compile kernels anew for anything else."""
+    """Contiguous and free to be written to: numba would compile kernels again for anything else."""
     found = np.ascontiguousarray(values, dtype=np.float64)
     return found if found.flags.writeable else found.copy()
 

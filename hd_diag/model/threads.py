@@ -32,7 +32,7 @@ def spread(work: Callable[[int, int], object], size: int, share: int) -> None:
     shares = iter([(first, min(first + share, size)) for first in range(0, size, share)])
 
     def some() -> None:
-        for first, last in shares:  # whoever is free takes the next one: cores may be busy with other things
+        for first, last in shares:  # a free thread takes the next one: cores may be busy with other things
             work(first, last)
 
     with ThreadPoolExecutor(threads - 1, thread_name_prefix="rows") as pool:

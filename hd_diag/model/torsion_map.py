@@ -34,7 +34,7 @@ TOLERANCE = 0.01 * ARCSEC
 # Wave generator angles per tooth passing. The torsion's slope breaks where a pair comes into load; with fewer
 # teeth each pair brings more of the stiffness and moves further per angle, so the steps per tooth go as
 # 1 / Z_G^2. 64 keep a gear of ratio 100 within TOLERANCE, and so do 250 one of ratio 50 and 25 one of 160.
-# Half as many do in sections, of which each brings a share of a pair's stiffness.
+# Half as many do in sections: each brings a share of a pair's stiffness.
 STEPS_PER_TOOTH = 64
 _IN_SECTIONS = 0.5
 _FINE_TEETH = 202

@@ -36,7 +36,7 @@ def absence(joint: Joint, window: Window, lately: Sequence[Arrived]) -> str:
     if window.accepted or not lately[-1]:
         return "its input arrives no more"
     if config.signals.is_velocity:
-        return "its velocity arrives, but no angle of the output from which it could be integrated"
+        return "its velocity arrives, but no angle of the output to begin its integral from"
     return f"messages name {visible(config.input_joint, _LONGEST)} and give no angle of it"
 
 

@@ -41,7 +41,7 @@ _ARCMIN = 60.0 * ARCSEC
 _ANGLES_OF_TURN = 257
 _ANGLES_WITHOUT_MAP = 61
 _RARE = 0.05  # share of the samples that may lie outside a model's range on either side
-_MARGIN = 0.05  # of a range, by which it may be left: what was fitted does not end at once
+_MARGIN = 0.05  # of a range: a fit holds so far beyond what it was fitted to
 _KELVIN = 2.0  # the same, of a temperature [K]
 # What is usual of an order that repeats.
 _TYPICAL = {
@@ -207,7 +207,7 @@ def _even_loads(drive: Drive) -> ToothLoads:
 
 
 def _margin_lost(joint: Joint) -> float:
-    """Part of what is left at the rated torque up to the limit of the tooth load that eccentricity takes."""
+    """Share of the tooth load's margin at the rated torque that eccentricity takes."""
     loads, even = tooth_loads(joint.config.drive), _even_loads(joint.config.drive)
     margin = joint.config.limits["peak_tooth_load"].warn - even.rated
     return (loads.rated - even.rated) / margin if margin > 0.0 else math.nan

@@ -19,8 +19,8 @@ from hd_diag.streams.second_publisher import other_rows
 
 _JUDGED_AT_LEAST = 8  # stamps, for their usual step
 _STEPS_TOGETHER = 32
-_KEPT = 0.02  # by which the steps of a sender that keeps its period differ [-]
-_OFF_MULTIPLE = 0.25  # by which a step may differ from whole periods [-]
+_KEPT = 0.02  # relative spread of the steps of a periodic sender [-]
+_OFF_MULTIPLE = 0.25  # allowed difference of a step from whole periods [-]
 _TURN = 2.0 * math.pi + 1e-6  # of an encoder that wraps [rad]
 _SAME = 0.9  # share of steps that are alike: the period is another now
 

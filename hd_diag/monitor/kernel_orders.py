@@ -9,14 +9,14 @@ import numpy as np
 from hd_diag.arrays import Floats, Times
 from hd_diag.model.kernel.compiler import entry_point, part
 
-FORGOTTEN_WAY = 64 * 2.0 * math.pi  # of the input [rad], and time of motion [s], after both of which what an
-FORGOTTEN_TIME = 30.0  # order was counts for 1/e
+# After such a way of the input [rad] and time of motion [s] an order's past counts for 1/e.
+FORGOTTEN_WAY, FORGOTTEN_TIME = 64 * 2.0 * math.pi, 30.0
 _WINDOW = 2 * 2.0 * math.pi  # way of the input over which a wave is separated from what is slow [rad]
 _LEAST_SAMPLES = 32.0  # in a window, of nine numbers
 _LEAST_INFORMATION = 0.2  # of a cosine over many turns 0.5 is left beside the rest, over one and a half 0.2
 _RIDGE = 1e-6  # keeps orders that do not move from spoiling the others
-_LOADED = 0.5  # mean torque over its mean size, from which a window is of one side
-_FEWEST_WINDOWS, _FEWEST_SAMPLES = 4.0, 200.0  # from which an order is reported
+_LOADED = 0.5  # mean torque over its mean size: above it a window is of one side
+_FEWEST_WINDOWS, _FEWEST_SAMPLES = 4.0, 200.0  # an order needs so many to be reported
 # An order repeats where its windows agree: the mean wave has at least half of their power, and more of it
 # than noise has by chance. Of k waves of noise that share is above r with probability (1 - r)^(k - 1).
 _STEADY, _STEADY_WINDOWS = 0.5, 12.0

@@ -13,7 +13,7 @@ from hd_diag.streams.alignment import Aligned
 
 
 class ModelRun:
-    """State of a model; it begins anew with every stretch of samples."""
+    """State of a model; it starts again with every stretch of samples."""
 
     def __init__(self, model: ExtendedModel) -> None:
         self._model = model

@@ -41,7 +41,7 @@ _KINDS = {
 _COMMANDED = re.compile(r"command|desired|target|set_?point|reference|goal|error|(?<![a-z])ipo|_d(?![a-z])")
 _USUAL = {"temperature": "degC", "current": "A", "torque": "N m", "velocity": "rad/s", "angle": "rad"}
 _RATIOS = 28.0, 400.0  # of a harmonic drive
-_SAME_SIDE = 0.02  # by which the slope of two angles at one side may differ from 1
+_SAME_SIDE = 0.02  # allowed difference from 1 of the slope of two angles at one side
 _FIT = 0.02  # what one angle may leave of the other
 _POINTS = 2000
 _MOST_TRIED = 4000  # messages that are looked at for names
@@ -57,7 +57,7 @@ _COUNTS, _MANY_COUNTS = "counts/?", 1000.0  # whole numbers over so many are no 
 class NumericField:
     """A number in the messages of a topic: kind (one of `_KINDS` or empty), guessed unit, time [s], values.
 
-    Its tag is the index or name by which it is found in an array, the same for all numbers of a joint. Where
+    Its tag is its index or name in an array, the same for all numbers of a joint. Where
     its stamps stay the same, it is by the time of reception.
     """
 
@@ -340,7 +340,7 @@ def field_of(
 
 
 def _tag(path: str) -> str:
-    """Index or name by which a number is found, without the interface that some drivers put behind it."""
+    """Index or name of a number, without the interface that some drivers append."""
     found = re.search(r"\[([^\]]+)\]", path)
     return _INTERFACE.sub("", found[1]) if found else ""
 

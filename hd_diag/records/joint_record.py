@@ -58,7 +58,7 @@ class _Samples(NamedTuple):
 
 
 def read_bags(paths: Sequence[str | Path], joint: JointConfig) -> Record:
-    """A joint's record from one bag or several, each of which begins a new run, as a clock set back does.
+    """A joint's record from one bag or several. Each begins a new run, as a clock set back does.
 
     It is at the output angle's stamps, by the rules of `hd_diag.streams.alignment`. Raises BagError where a
     bag cannot be read, RecordError where the joint has no input or output angle in them, or too little.
@@ -146,7 +146,7 @@ def read_motion(paths: Sequence[str | Path], joint: JointConfig) -> InputRecord 
 
 
 def _check_clock(found: _Samples, output: Floats) -> None:
-    """Ask about stamps by which no joint is recorded or moves; its output's angle [rad] is (n,)."""
+    """Ask about stamps that no recording of a moving joint has; its output's angle [rad] is (n,)."""
     if question := doubtful_clock(found.time, found.stretch, output):
         text = f"{question[0]} The robot's driver has to stamp in seconds and nanoseconds"
         raise RecordError(found.stamps.after(text))

@@ -31,7 +31,7 @@ class JointTopics:
     joints of topics with temperatures in a type of their own.
 
     Raises BagError where a topic is missing, or has no such field; it names what there is. A log, which gives
-    `names`, may lack topics on which nothing came.
+    `names`, may lack topics without messages.
     """
 
     def __init__(

@@ -19,7 +19,7 @@ from hd_diag.messages.publications import STRING, read_string
 
 _REDUCTIONS = ("mechanicalReduction", "mechanical_reduction")
 _TOPIC = "robot_description"
-_SAME = 0.01  # part by which a ratio may differ from a described one: these have few digits
+_SAME = 0.01  # relative difference allowed from a described ratio: these have few digits
 _LONGEST = 60  # characters of a name or number
 
 

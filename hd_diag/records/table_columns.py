@@ -133,6 +133,6 @@ def _field(topic: Topic, name: str, shown: str, time: Floats, values: Floats, ta
 
 
 def _tags(header: Sequence[str]) -> list[str]:
-    """Numbers in names by which joints are told apart; empty where a number is alone."""
+    """Numbers in names that distinguish joints; empty where a number is alone."""
     numbers = ["" if name.isdecimal() else "".join(re.findall(r"\d+", name)[:1]) for name in header]
     return [number if numbers.count(number) > 1 else "" for number in numbers]

@@ -29,7 +29,7 @@ from hd_diag.streams.second_publisher import other_rows
 from hd_diag.streams.signals import Unit, unit
 
 COLUMNS = ("time", "input", "output", "torque", "temperature")
-"""Columns that `read_tables` knows; beside them ``record`` tells recordings in one file apart."""
+"""Columns that `read_tables` knows; beside them ``record`` distinguishes recordings in one file."""
 
 _KEYS = ELSEWHERE, "output", "", "input"  # of rows with a velocity
 _USUAL = dict(zip(COLUMNS, ("s", "rad", "rad", "N m", "degC"), strict=True))
@@ -67,7 +67,7 @@ class Table:
 
 
 def read_tables(paths: Sequence[str | Path], table: Table, joint: JointConfig) -> Record:
-    """A record from CSV files, each of which is a recording.
+    """A record from CSV files; each is a recording.
 
     Raises RecordError where a file lacks a column, or a value is not a number.
     """
@@ -170,7 +170,7 @@ def _own_rows(found: dict[str, Floats], stamps: Stamps) -> Stamps:
 
 
 def _check_clock(table: Table, found: Mapping[str, Floats], ratio: float) -> None:
-    """Ask about the unit of the time where no joint goes by such a clock, unless the user gave the unit."""
+    """Ask about the unit of time where no joint moves so on such a clock, unless the user gave it."""
     name = table.columns.get("time", "")
     if not name or _STATED.search(name):
         return
@@ -204,7 +204,7 @@ def _make_angles(
 def _integrate(found: dict[str, Floats], record: Integers, names: Names) -> None:
     """Replace the input's velocity by its integral, as streams integrate it; nan where there is none."""
     if "output" not in found:
-        raise RecordError("a velocity as input needs the output's angle, from which its integral goes on")
+        raise RecordError("a velocity as input needs the output's angle to begin its integral from")
     columns = np.stack((found["output"], found["input"]), axis=1)
     good = np.isfinite(columns).all(axis=1) & np.isfinite(found["time"])
     found["input"], found["speed"] = np.full((2, record.size), np.nan)

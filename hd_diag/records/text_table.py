@@ -158,7 +158,7 @@ def _opened(path: Path, encoding: str) -> TextIO:
 
 
 def _lines(file: TextIO) -> Iterator[str]:
-    """Lines of a file, none of which is longer than can be believed."""
+    """Lines of a file; one longer than is plausible is refused."""
     while line := file.readline(_LONGEST_LINE):
         if len(line) == _LONGEST_LINE:
             raise csv.Error(f"a line is longer than {_LONGEST_LINE} characters")

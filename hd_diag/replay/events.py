@@ -11,7 +11,7 @@ map
     From here on a ``joint`` is predicted by its map, which was built up to a ``torque_limit`` [N m].
 report
     Header ``stamp`` [ns], what the surroundings knew as ``facts``, how long each joint had been silent as
-    ``silence`` [s]: it goes by a clock that no other message holds; logs of before do not tell it.
+    ``silence`` [s]: measured on a clock that no other message holds; older logs lack it.
 clock
     The clock of the stamps was set back: those later than a ``stamp`` [ns] are of before.
 state

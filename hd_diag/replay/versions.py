@@ -1,4 +1,4 @@
-"""Versions on which the last bits of the outputs depend."""
+"""Versions that decide the last bits of the outputs."""
 
 from __future__ import annotations
 

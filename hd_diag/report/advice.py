@@ -18,7 +18,7 @@ from hd_diag.formatting import direction, si, size, spread_number, words
 _OWN = {effect.name: effect for effect in CATALOGUE}
 
 _SIGMAS = 2.0
-"""Standard deviations from nothing, or from the configured value, from which a number is on a card."""
+"""A number is on a card from so many standard deviations off zero or off its configured value."""
 
 RED, GREY, AMBER, GREEN = STATES = ("red", "not_judged", "amber", "green")
 """Of joints, the worst first: what is not known is worse than what is nearly too much."""

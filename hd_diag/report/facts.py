@@ -32,7 +32,7 @@ from hd_diag.report.advice import AMBER, Card, Gauge, cards, gauges, worst
 from hd_diag.report.stages import BinnedResiduals, OverTime, Rung, Stages, benches, ladder
 from hd_diag.report.teeth import TeethOverTurn, teeth_over_turn
 
-_LINE_SHARE = 0.2  # of a cause's mean square from which a peak of its spectrum is its order
+_LINE_SHARE = 0.2  # of a cause's mean square: a larger peak of its spectrum is its order
 _LEAK = 0.1  # strength of a peak's side lobes that are no peaks of their own
 _MOST_MARKS = 2  # orders marked for one cause
 _NOT_OF_THE_DRIVE = ("output_joint", "limits.", "tolerance.", *SIGNALS)
@@ -164,7 +164,7 @@ def quality_of(
     """What stamps [s], angles [rad] and torque [N m], if measured, of a record say, shape (n,) each.
 
     `bag` says which recording each sample comes from; a step between two of them counts for nothing, nor does
-    one between stamps that do not rise, of which there must be others.
+    one between stamps that do not rise; others must exist.
     """
     rising = (np.diff(bag) == 0) & (np.diff(time) > 0.0)
     step = np.diff(time)[rising]

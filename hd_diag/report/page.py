@@ -41,10 +41,10 @@ TERMS = {
     "runout": "The same, but turning with the wave generator: the plug is off centre on its shaft.",
     "tilt": "Angle between the wave generator's axis and the circular spline's, fixed in the housing: "
     "along the width of the teeth the eccentricity then changes.",
-    "datum": "Radius from which the profile of the circular spline's slots is measured. A larger one gives "
+    "datum": "Radius at the origin of the circular spline's slot profile. A larger one gives "
     "all teeth more clearance.",
     "backlash": "Clearance of one tooth in its slot, along the circumference.",
-    "lost motion": "Angle by which the output turns freely while the input stands: the clearance that all "
+    "lost motion": "Free angle of the output while the input stands: the clearance that all "
     "teeth together leave. None is left where the lobes overlap.",
     "interference": "A tooth and its slot would take the same place: backlash below zero at that tooth, as "
     "long as the flexspline does not turn out of the way.",

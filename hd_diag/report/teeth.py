@@ -18,7 +18,7 @@ _DIRECTIONS = 120  # around the gear
 _MOMENTS = 720  # of the record
 _STRONG = 99.0  # percentile of a record's torque for which the map is drawn
 _TURN = 2.0 * np.pi
-_FREE = 2.0 / 15.0  # backlash over module from which a tooth is simply free: 40 um at 0.3 mm
+_FREE = 2.0 / 15.0  # backlash over module: beyond it a tooth is simply free: 40 um at 0.3 mm
 
 
 class Extremes(NamedTuple):

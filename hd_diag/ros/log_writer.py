@@ -1,4 +1,4 @@
-"""The node's log: everything that went in and came out, and every event on which the outputs depend."""
+"""The node's log: everything that went in and came out, and every event that the outputs depend on."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from hd_diag.config.configuration import LogConfig
 from hd_diag.formatting import visible
 from hd_diag.messages.schemas import Definition
 
-# Time from a failure to the next attempt [s]: it doubles, and begins anew after a log that lasted.
+# Time from a failure to the next attempt [s]: it doubles, and starts again after a log that lasted.
 _SHORTEST, _LONGEST, _LASTING = 1.0, 30.0, 60.0
 _POURING = 0.01  # longest that the memory is written at once [s]
-_PARTS = 10  # into which a log is cut at least that may not grow beyond a size or an age
+_PARTS = 10  # least number of files of a log that has a largest size or age
 
 
 class LogWriter:

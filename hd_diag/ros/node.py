@@ -64,7 +64,7 @@ _DRAIN_PERIOD = 0.01  # longest time in which what DDS holds is taken [s]
 _IDLE = 3  # turns of the executor without a message, after which DDS has none: others' events stand between
 _GATHER = 0.004  # from some samples to the next, while these come faster [s]
 _TOGETHER = 64  # most messages that are processed at once
-_BEHIND = 0.1  # age of a sample from which on the node does less of the rest [s]
+_BEHIND = 0.1  # age of a sample: beyond it the node does less of its other work [s]
 _CATCH_UP = 0.5  # longest that a change waits for samples of before [s]
 _LATE = 1.0  # wait of a sample, or standstill of the node, that is a warning [s]
 _LEAST_SHARE = 2.0**-12
@@ -291,7 +291,7 @@ class DiagnosticNode(Node):
                 give_back()
 
     def _on_clock(self, jump: Any) -> None:
-        """The clock was set, back by less than stamps show by themselves where a short bag begins anew.
+        """The clock was set, back by less than stamps show by themselves where a short bag starts again.
 
         Samples may come a little before their clock: those that are less than half the jump ahead are new.
         """

@@ -10,7 +10,7 @@ Identity = tuple[int, int]
 """Time of a publication [ns], and its number: no two of a topic have both."""
 
 _NEW = 2.0  # time after a publisher was found in which its first message is no jump of another [s]
-_BEGUN = 500  # number up to which a publisher of which nothing came has begun since: half a second of 1 kHz
+_BEGUN = 500  # a publisher first heard at a lower number has begun since: half a second of 1 kHz
 
 
 def identity(info: Mapping[str, Any]) -> Identity | None:

@@ -21,7 +21,7 @@ from hd_diag.ros.diagnosis_run import DiagnosisRun
 from hd_diag.ros.log_writer import LogWriter
 
 _OF_NO_JOINT = {"LOG_FAILED", "OK"}
-_MOVED = 0.01  # by which an input has turned, and is no encoder's noise [rad]
+_MOVED = 0.01  # turn of an input that is more than an encoder's noise [rad]
 
 
 class Recording:

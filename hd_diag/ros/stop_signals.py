@@ -79,7 +79,7 @@ def _raise_again(error: weakref.ref[Stopped], seen: threading.Event, number: int
 
 
 def _lost(what: Any) -> None:
-    """Tell of what was raised where nobody can catch it, but for signals, which come again."""
+    """Tell of what was raised where nobody can catch it, except for signals, which come again."""
     if not isinstance(what.exc_value, Stopped):
         sys.__unraisablehook__(what)
 

@@ -36,7 +36,7 @@ Reader = JointStateReader | FieldReader
 
 @dataclass
 class SignalTopic:
-    """A topic of which signals are taken: full name, type, and the signals by their keys."""
+    """A topic that carries signals: full name, type, and the signals by their keys."""
 
     topic: str
     type_name: str
@@ -113,11 +113,11 @@ class SignalInput:
         return max(self._lost, self._missing.count)
 
     def begin_anew(self, withheld: Iterable[int]) -> None:
-        """Subscribe anew, as messages with these numbers are withheld, in the order of their arrival."""
+        """Subscribe again, as messages with these numbers are withheld, in the order of their arrival."""
         for number in withheld:
             self._missing.withheld(number)
         self._change()
-        why = "withholds what follows a message that cannot be read: subscribed anew"
+        why = "withholds what follows a message that cannot be read: subscribed again"
         self._node.get_logger().warning(f"{self.source.topic} {why}", throttle_duration_sec=5.0)
 
     def follow_publishers(self) -> None:

@@ -1,6 +1,6 @@
 """Messages that arrive and that a reliable subscription withholds.
 
-A message that Fast DDS cannot read, such as one without a payload, is asked for anew for as long as its
+A message that Fast DDS cannot read, such as one without a payload, is asked for again for as long as its
 publisher keeps it. Until then a reliable reader gives none of those after it, and says nothing. A reader with
 best effort gives them: while a subscription gives nothing, it shows whether something arrives.
 """
@@ -17,7 +17,7 @@ from hd_diag.ros.numbers import Identity, identity
 from hd_diag.ros.second_reader import SecondReader
 from hd_diag.ros.subscriptions import SignalInput
 
-_SILENT = 0.2  # time without a message of a topic from which on one is looked for [s]
+_SILENT = 0.2  # time without a message of a topic before one is looked for [s]
 _MISSED = 1.0, 6.0  # the same of a joint, whose topic others may publish too, and until when [s]
 # Time after which a message that has arrived is withheld for good [s]: one that got lost on the way is sent
 # again after the publisher's next heartbeat, which Fast DDS sends every 3 s.
@@ -61,7 +61,7 @@ class _Beside:
 
 
 class Withheld:
-    """Looks beside the subscriptions of a node, which then begin anew."""
+    """Looks beside the subscriptions of a node, which then start again."""
 
     def __init__(self, node: Node, inputs: Sequence[SignalInput]) -> None:
         self._beside = [_Beside(node, each) for each in inputs]

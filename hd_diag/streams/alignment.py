@@ -3,7 +3,7 @@
 * **A stamp of zero is none.** The time of reception stands for it, which is counted; a mapping may want that
   for all (``stamp: reception``). From such a stamp back to one of the header is no clock set back.
 * **Stamps rise.** A stamp that repeats the last, or is at most `CLOCK_JUMP` before it, is late: refused. One
-  further back is of a clock that was set back: the joint's stream begins anew (a new `stretch`), and nothing
+  further back is of a clock that was set back: the joint's stream starts again (a new `stretch`), and nothing
   of before is used with what comes after.
 * **Pairs.** Input and output angle of one message belong together. An output angle that comes apart waits for
   the input angle at its own stamp: interpolated between two inputs that are at most `PAIRING_GAP` apart.
@@ -170,7 +170,7 @@ class Alignment:
         return Aligned(*whole, *found)
 
     def turn(self) -> None:
-        """Let `arrived` begin anew."""
+        """Let `arrived` start again."""
         self.before = [*[each for each in self.before if each][-2:], self.arrived]
         self.arrived, self._last = {}, None
 

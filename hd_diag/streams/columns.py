@@ -26,7 +26,7 @@ class JointStates(NamedTuple):
 
     Positions of the messages in the batch they come from (n,), time of their headers [ns] (n,), names of the
     joints; position [rad] or [m], velocity [rad/s] or [m/s] and effort [N m] or [N], each (n, k) or None
-    where the messages have none; one of another width cannot be told by names.
+    where the messages have none; one of another width has no known names.
     `signals` (n, m) is what is mapped to joints otherwise than by these names,
     in SI and degree Celsius, with m `keys` as `hd_diag.streams.signals.key` has them. `unstamped` are
     messages whose headers have a stamp of zero.

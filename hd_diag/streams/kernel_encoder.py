@@ -11,7 +11,7 @@ from hd_diag.arrays import Floats
 from hd_diag.model.kernel.compiler import entry_point, part
 
 _TURN = 2.0 * math.pi
-_ROUNDING = 1e-6  # by which a wrapped angle may leave its turn [rad]
+_ROUNDING = 1e-6  # a wrapped angle may leave its turn so far [rad]
 _WORD = 65536.0  # a counter of 32 bits over one of 16
 
 
@@ -35,7 +35,7 @@ def continuous(encoder: Any, stretch: int, angle: float, counter: float) -> floa
 
 @part
 def _period(reach: float, counter: float) -> float:
-    """After what an encoder with such a reach begins anew [rad]: a turn, 16 or 32 bits of counts, never."""
+    """After what an encoder with such a reach starts again [rad]: a turn, 16 or 32 bits of counts, never."""
     if reach <= _TURN + _ROUNDING:
         return _TURN
     if counter > _TURN and reach <= counter:

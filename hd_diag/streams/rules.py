@@ -73,7 +73,7 @@ JOINT = np.dtype(
 )
 """State of one joint: stamps [ns], when an input was last heard [ns], number of its stream, places in
 rings, counters, whether the last stamp is a time of reception, the last refusal, torque reported and
-assumed [N m], by which reported inputs are multiplied; least and most of all torques reported [N m]; input
+assumed [N m]; factor on reported inputs; least and most of all torques reported [N m]; input
 angle and torque of the last sample. Where the input is a velocity: whether the output is known, the ratio
 (else 0), output times ratio, how far the integral is off it and how far that drifted [rad], last velocity
 [rad/s]. What 16 bits of counts are of input and output, 0 where they do not count [rad]."""
@@ -85,7 +85,7 @@ ENCODER = np.dtype(
 
 
 def unseen(count: int = 1) -> Any:
-    """So many encoders of which nothing is known yet."""
+    """So many encoders, nothing known about them yet."""
     encoders = np.zeros(count, ENCODER)
     encoders["stretch"] = -1
     return encoders

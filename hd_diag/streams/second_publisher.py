@@ -14,7 +14,7 @@ _LEAST = 3  # times that a value has to come between others: fewer are outliers
 _FAR = 5.0  # times the step that a hundredth of the joint's own exceed, which no joint jumps there and back
 _SMALLEST = 1e-3  # jump that counts [rad, N m], where the joint itself rests
 _SHORT = 5  # rows; a torque may go to zero for longer, where a brake holds
-_DIGITS = 9  # to which wrapped angles are compared
+_DIGITS = 9  # decimal places in the comparison of wrapped angles
 _UNITS = {"input": "rad", "output": "rad", "torque": "N m"}
 
 
@@ -24,7 +24,7 @@ def other_rows(
     """Rows (n,) that a second publisher gave, and what is to be said of them; empty where there are none.
 
     Times [s] and numbers of recordings (n,); angles [rad] and torque [N m] by their roles, each (n,); after
-    what an angle that counts within a turn begins anew [rad]; `where` they were published.
+    what an angle that counts within a turn starts again [rad]; `where` they were published.
 
     Notes
     -----
@@ -64,7 +64,7 @@ def _key(column: Floats, period: float) -> Floats:
 
 
 def _between(column: Floats, key: Floats, bag: Integers, period: float, longest: int) -> Rows:
-    """Rows (n,) with one value, to which a column jumps, for so many rows at the longest, and back again."""
+    """Rows (n,) of a column that jumps to one value and back, within so many rows."""
     found = np.zeros(column.size, dtype=bool)
     finite = np.isfinite(column)
     ordered = np.sort(key[finite])

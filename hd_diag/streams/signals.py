@@ -22,8 +22,8 @@ _TURN = 2.0 * math.pi
 _ANGLES = {"rad": 1.0, "deg": _TURN / 360.0, "turns": _TURN}
 _COUNTS = re.compile(r"counts/(\d+(?:\.\d+)?)")
 _ZERO_CELSIUS = 273.15  # [K]
-_COUNTER = 2.0**16  # counts after which a small counter begins anew
-_ALIKE = 0.6  # of difflib's ratio, from which it calls words close
+_COUNTER = 2.0**16  # counts after which a small counter starts again
+_ALIKE = 0.6  # of difflib's ratio: above it words are close
 _SHORT = 3  # letters, of a beginning that may stand for a name
 _LONGEST = 80  # characters of a name that are compared
 
@@ -31,7 +31,7 @@ _LONGEST = 80  # characters of a name that are compared
 class Unit(NamedTuple):
     """SI (degree Celsius for temperatures) is factor times value plus offset.
 
-    A rate is an angle per second; a current is ampere, for whoever knows N m per ampere.
+    A rate is an angle per second; a current is ampere, for users who know N m per ampere.
     """
 
     factor: float
@@ -151,7 +151,7 @@ def temperatures(states: JointStates) -> dict[str, Floats]:
 
 
 def temperature_changes(shapes: Sequence[JointStates]) -> Integers:
-    """Rows from which on a temperature is another than in the message before with the same signals."""
+    """Rows at which a temperature differs from the message before with the same signals."""
     rows = [
         states.row[np.concatenate(([True], np.diff(column) != 0.0))]
         for states in shapes
@@ -184,6 +184,6 @@ def _fit(wanted: Sequence[str], parts: Sequence[str], likeness: Callable[[str, s
 
 
 def _likeness(one: str, other: str) -> float:
-    """Of what is written and a name, of which it may be the beginning."""
+    """Likeness of a written word and a name; the word may be the name's beginning."""
     begins = len(one) >= _SHORT and other.startswith(one)
     return max(difflib.SequenceMatcher(None, one, other).ratio(), _ALIKE * begins)

@@ -180,7 +180,7 @@ def judged(
 
 
 def chunks(samples: int) -> int:
-    """Tasks into which so many assemblies are divided."""
+    """Number of tasks for so many assemblies."""
     return -(-samples // _CHUNK)
 
 
@@ -194,7 +194,7 @@ def yields(values: Floats, limits: Floats) -> tuple[Share, list[Share]]:
 
 
 def tolerance_at(share: Share, tolerances: Floats, target: float) -> float:
-    """Largest tolerance up to which a share stays at its target, linear between rising tolerances (t,) [m].
+    """Largest tolerance whose share reaches its target, linear between rising tolerances (t,) [m].
 
     nan if even the least tolerance has less; the greatest if all have as much.
     """

@@ -19,7 +19,7 @@ _PHASES = 32  # tooth phases over which the reference stiffness is the mean
 
 @dataclass(frozen=True)
 class Criterion:
-    """What an assembly is judged by, too much of which is bad.
+    """A criterion that judges an assembly: too much of it is bad.
 
     Name and its short form; SI unit; unit that people read and how many of it make one; whether it jumps
     where a pair comes into load.
@@ -87,7 +87,7 @@ def evaluate(
     Notes
     -----
     Interference as in Dong et al. (2019), section 4.2: tooth 0 stays on the axis although the wave generator
-    is displaced across it (eq. 1), hence the arc offset ``s_0 = -E_across``; a tooth's backlash is the lesser
+    is displaced across it (eq. 1), so the arc offset is ``s_0 = -E_across``; a tooth's backlash is the lesser
     of its two flanks; the least of the lobe at tooth 0 counts, for at the other lobe the displacement points
     the other way.
     """

@@ -1,6 +1,6 @@
 """The eccentricity or tilt at which a criterion is first exceeded, over all directions and input angles.
 
-A drive in sections may lean: what is looked for is then the displacement of the outermost section, of which a
+A drive in sections may lean: what is looked for is then the displacement of the outermost section; a
 share comes from the tilt: 0 is an eccentricity alone, 1 a tilt alone, -0.5 half of each against each other.
 """
 
@@ -28,10 +28,10 @@ STEPS = 60
 """Steps of the eccentricity in which the first excess is looked for."""
 
 FINE_STEPS = 16
-"""Parts into which the step of the first excess is divided for a criterion that jumps."""
+"""Parts of the step of the first excess, for a criterion that jumps."""
 
 ROOT_TOLERANCE = 1e-10
-"""To which the displacement of an excess is solved [m]."""
+"""Resolution of the displacement of an excess [m]."""
 
 CHART_STEPS = 24
 """Steps of the displacement in a chart, between which it is straight."""
@@ -353,6 +353,6 @@ def _climbed(function: Callable[[Floats], Floats], centers: Floats, step: Floats
 
 
 def _first(values: Floats) -> int:
-    """Number of the first of the values that are as great as the greatest, but for :data:`_IMAGE`."""
+    """Number of the first of the values that are as great as the greatest, except for :data:`_IMAGE`."""
     highest = values.max()
     return int(np.argmax(values >= highest - _IMAGE * abs(highest)))

@@ -30,7 +30,7 @@ Progress = Callable[[str, int], Callable[[], None]]
 
 _TOLERANCES = 13  # of a yield curve, from zero to twice the configured one, the middle one
 _RAYS = 25  # of a chart, from a tilt against the eccentricity to one along it
-_ALL_TEETH = 0.0  # [m]; overlap from which no rotation frees all teeth
+_ALL_TEETH = 0.0  # [m]; beyond this overlap no rotation frees all teeth
 
 
 def limits_and_spreads(flat: Mapping[str, Value], joint: str) -> tuple[dict[str, float], dict[str, Spread]]:

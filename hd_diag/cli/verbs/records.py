@@ -33,7 +33,7 @@ def diagnose() -> None:
 
     First the model's own parameters are fitted. Then the catalogue is searched for causes. A cause is named
     only where it also predicts the part of the record that was not used in the fit. "None of the known
-    causes" and "this record cannot tell these apart" are possible answers. Several bags are runs of the same
+    causes" and "this record cannot distinguish these" are possible answers. Several bags are runs of the same
     joint. Of a very long record every sample is checked for a wrong ratio, steps and outliers, and stretches
     from all over it are fitted. If a joint's signals are wrong or too few, stderr says so, the other joints
     are diagnosed, and the exit code is 2.

@@ -21,7 +21,7 @@ from hd_diag.model.kernel import formula
 
 
 def _name_apart() -> None:
-    """Count functions, by which numba tells their machine code apart, from a place that no other process has.
+    """Count functions from a place of this process alone: numba names their machine code by that number.
 
     From 1 on, as by itself, numba gives what two processes compile and keep the same names: of an argsort and
     a sort (closures of one name and type) whichever was loaded first then ran for both.

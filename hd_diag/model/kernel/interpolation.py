@@ -1,12 +1,12 @@
 """Interpolation in a torsion map.
 
-A map takes far more memory than a core has near it, so that samples anywhere in it wait for their rows. Hence
+A map takes far more memory than a core has near it, so that samples anywhere in it wait for their rows. So
 an index, small enough to stay near, tells about where in a row a torque is; and the places of a whole block
 of samples are found and asked for before any is read.
 
 Tables hold whole steps. Of torque they are those of its root, `STEPS` up to the greatest one, for breakpoints
-stand close to each other near zero. Torsions are counted from a line, of which each row has the torsion at no
-torque [rad] and the slope [rad/(N m)], and the step [rad].
+stand close to each other near zero. Torsions are counted from a line: each row has its torsion at no
+torque [rad], its slope [rad/(N m)], and the step [rad].
 """
 
 from __future__ import annotations

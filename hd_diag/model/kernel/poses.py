@@ -118,7 +118,7 @@ def _summed(series: Floats, begin: int, end: int, teeth: Teeth) -> tuple[Floats,
 
 @part
 def _slots(c: Constants, count: int, start: float, turn: float, teeth: Teeth) -> None:
-    """The slot opposite each tooth, and the angle by which the tooth axis leads it."""
+    """The slot opposite each tooth, and the lead of the tooth axis over it [rad]."""
     for j in range(count):
         angle = start + teeth.number[j] * c.tooth_pitch + teeth.lead[j] + turn
         slope = teeth.offset[j] / (teeth.height[j] + c.pitch_height)

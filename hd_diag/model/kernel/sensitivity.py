@@ -219,7 +219,7 @@ def _set_flanks(
 
 @part
 def _append(flanks: Flanks, lowest: float, highest: float, torque: float, size: int, room: Pieces) -> int:
-    """Append the pieces between two torsions, the first of which begins at a torque."""
+    """Append the pieces between two torsions; the first begins at a torque."""
     plus = flanks.plus.start.size
     sums = room.sums[size]
     sums[:] = 0.0

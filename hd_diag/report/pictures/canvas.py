@@ -1,4 +1,4 @@
-"""The sheet of every picture: its size, letters, and colours that a colour-blind reader can tell apart."""
+"""The sheet of every picture: its size, letters, and colours that a colour-blind reader can distinguish."""
 
 from __future__ import annotations
 
