@@ -113,8 +113,8 @@ def drawing(
     tuple of Shape
         ``circular_spline``, ``flexspline``, ``wave_generator`` (the neutral curve), ``long_axis``, ``teeth``
         (each flank coloured by its own load), ``eccentricity`` (from the axis to the displaced centre),
-        ``legend``. A drive in sections is drawn with its width, z towards the open end, where the lines are
-        and, except for the flexspline's, at the cup's bottom too. The flanks are then bands, one a section, in
+        ``legend``. A drive in sections is drawn with its width, z towards the open end: the lines there and,
+        except for the flexspline's, at the cup's bottom too. The flanks are then bands, one a section, in
         the section's place, coloured by its force over its share of the width.
 
     Raises
