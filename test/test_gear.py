@@ -19,6 +19,7 @@ from numpy.testing import assert_allclose
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from reference import published
 from scipy.optimize import least_squares
 
 from hd_diag.config.assessment import assess
@@ -33,6 +34,7 @@ from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE
 from hd_diag.effects.scaling import of_drive
 from hd_diag.extended_model import ExtendedModel, Range, Ranges, Term
+from hd_diag.formatting import ARCSEC
 from hd_diag.gears.catalogue import Gear, check, named, table, usual
 from hd_diag.gears.characteristics import MeshOverTurn, ToothLoads, characteristics, slot_phases, tooth_loads
 from hd_diag.gears.page import Page
@@ -62,6 +64,7 @@ PAGES = {
     "8/50": (8, 50, 1.8, 0.44, 0.67, 0.84, 0.29, 0.75),
     "65/160": (65, 160, 951.0, 540.0, 880.0, 980.0, 235.0, 843.0),
 }
+PLANE = {"joint_1.sections": 1}
 NAMES = ("size", "ratio", "rated_torque", "k1", "k2", "k3", "t1", "t2")
 
 
@@ -165,6 +168,20 @@ def test_a_page_becomes_a_drive_that_has_its_torsion_curve(name: str) -> None:
     config = of_page(name)
     assert config.joints[0].drive.kinematics.ratio == PAGES[name][1]
     check_page(config)
+
+
+@pytest.mark.parametrize("name", published.PLANE_GEARS)
+def test_gears_in_one_section_are_as_a_fit_by_other_code_has_them(name: str) -> None:
+    gear, expected = table()[name], published.PLANE_GEARS[name]
+    config = resolve({f"joint_1.gear.{key}": value for key, value in gear.given.items()} | PLANE)
+    found = assess(config, config.joints[0])
+    _, page, reached = found.torsion
+    printed = np.where(page < 100.0 * ARCSEC, 0.1, 1.0)  # to a tenth, from 100 on to one
+    # 354.48 is printed as 355.
+    assert (np.abs(page / ARCSEC - expected.torsion) <= 0.53 * printed).all()
+    assert np.abs(reached / page - 1.0).max() < 0.07
+    assert found.found.lost_motion == 0.0
+    assert found.found.loads.idle == pytest.approx(expected.idle, abs=0.05)
 
 
 SAMPLE = ("CSG-25-100", "CSG-14-50", "CSG-32-160", "HFUC-90-50", "HFUS-11-100", "HFUC-25-30")

@@ -162,3 +162,22 @@ SECTION_CASES = (
     _case(0.025, 0.0, 0.0, (0.7511, 5.3730, 13.867, 21.108), (-8.53, -4.24, 0.95, 4.53, 6.34)),
 )
 ECCENTRIC_ORDER_2 = (7.38, 6.70, 2.17, 1.50)  # [arcsec], of 10 um without tilt and coning
+
+
+class PlaneGear(NamedTuple):
+    """A gear from its page by one section: the page's torsion at eight torques [arcsec], force at rest [N].
+
+    The force is that of a fit of datum and compliances by other code.
+    """
+
+    torsion: tuple[float, ...]
+    idle: float
+
+
+PLANE_GEARS = {
+    "CSG-17-100": PlaneGear((8.0, 20.1, 40.2, 80.4, 140, 200, 277, 355), 1.3),
+    "CSG-25-100": PlaneGear((9.3, 23.3, 46.6, 93.2, 163, 233, 320, 407), 2.7),
+    "CSG-20-160": PlaneGear((9.0, 22.6, 45.1, 90.2, 165, 239, 328, 417), 0.8),
+    "CSG-14-50": PlaneGear((12.1, 30.3, 60.7, 121, 229, 336, 461, 586), 2.2),
+    "CSG-32-120": PlaneGear((8.9, 22.3, 44.6, 89.3, 163, 237, 330, 423), 3.3),
+}
