@@ -86,7 +86,7 @@ def test_records_are_those_of_rosbag2(tmp_path):
 def test_rows_and_single_messages_give_the_same_bytes(tmp_path, compression):
     block, stamps = rows(500)
     texts = [string_cdr("x" * (i * 37 % 90)) for i in range(500)]
-    for name in ("one", "many", "list"):
+    for name in ("one", "some", "many", "list"):
         (tmp_path / name).mkdir()
         options = {"compression": compression, "chunk_size": 7000, "flush_period": 60.0}
         with BagWriter(tmp_path / name / "a.mcap", **options) as writer:
@@ -96,13 +96,22 @@ def test_rows_and_single_messages_give_the_same_bytes(tmp_path, compression):
                 for text, stamp in zip(texts, (stamps // 3).tolist(), strict=True):
                     writer.write("/n", STRING, text, stamp)
                 continue
+            if name == "some":
+                few = [slice(at, at + 1 + at % 9) for at in (0, 1, 3, 7, 15)] + [slice(22, 40)]
+                for part in (*few, *(slice(at, at + 20) for at in range(40, 500, 20))):
+                    own = [row.tobytes() for row in block[part]]
+                    writer.write_some("/j", JOINT_STATE, own, stamps[part].tolist())
+                for part in (*few, *(slice(at, at + 20) for at in range(40, 500, 20))):
+                    writer.write_some("/n", STRING, texts[part], (stamps[part] // 3).tolist())
+                writer.write_some("/n", STRING, [], [])
+                continue
             given = block if name == "many" else [memoryview(row.tobytes()) for row in block]
             writer.write_many("/j", JOINT_STATE, given, stamps)
             for part in (slice(0, 1), slice(1, 250), slice(250, 500)):
                 writer.write_many("/n", STRING, [memoryview(t) for t in texts[part]], stamps[part] // 3)
             writer.write_many("/n", STRING, [], [])
-    data = [(tmp_path / name / "a.mcap").read_bytes() for name in ("one", "many", "list")]
-    assert data[0] == data[1] == data[2]
+    data = [(tmp_path / name / "a.mcap").read_bytes() for name in ("one", "some", "many", "list")]
+    assert data[0] == data[1] == data[2] == data[3]
 
 
 @pytest.mark.parametrize("many", [False, True])

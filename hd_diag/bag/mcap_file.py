@@ -13,7 +13,7 @@ import struct
 import time
 import zlib
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
@@ -130,6 +130,24 @@ class McapFile:
         else:
             chunk.append(data)
         self._added(stream, 1, log_time, log_time, entry)
+
+    def add_some(self, stream: Stream, times: Sequence[int], rows: Sequence[bytes]) -> None:
+        """Append a few messages, as `add` each; at once where the open chunk has room for them."""
+        self.declare(stream)
+        place, size = self._chunk.size, len(rows) * MESSAGE.size + sum(map(len, rows))
+        if not rows or place + size > min(self._chunk_size, LARGE):
+            for time_, data in zip(times, rows, strict=True):
+                self.add(stream, time_, time_, data)
+            return
+        parts: list[bytes] = []
+        entries: list[bytes] = []
+        for sequence, (time_, data) in enumerate(zip(times, rows, strict=True), stream.count):
+            own = _FIXED + len(data), stream.channel.id, sequence & 0xFFFFFFFF, time_, time_
+            parts += (MESSAGE.pack(Opcode.MESSAGE, *own), data)
+            entries.append(_ENTRY.pack(time_, place))
+            place += MESSAGE.size + len(data)
+        self._chunk.append(b"".join(parts))
+        self._added(stream, len(rows), min(times), max(times), b"".join(entries))
 
     def add_rows(self, stream: Stream, times: Times, publish_times: Times, rows: Bytes) -> int:
         """Append messages of one size, shape (n, size), as many as fill the open chunk, and say how many."""

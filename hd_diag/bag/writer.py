@@ -188,6 +188,34 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         except (BagError, OSError) as exc:
             raise self._failure(exc) from exc
 
+    def write_some(
+        self,
+        topic: str,
+        type_name: str,
+        rows: Sequence[bytes],
+        log_times: Sequence[int],
+        qos: Qos | None = None,
+        known: Definition | None = None,
+    ) -> None:
+        """Append a few messages of one topic, each as `write` does: what they have in common is done once.
+
+        Where one of the times cannot be written none of them is.
+        """
+        if self.error is not None or self._closed or (topic, type_name) not in self._streams:
+            self.add_topic(topic, type_name, qos, known)
+        if rows and not 0 <= min(log_times) <= max(log_times) <= _LAST_TIME:
+            what = f"{topic}: times from {min(log_times)} to {max(log_times)} ns are out of range"
+            raise BagError(self.path, what)
+        if self._max_size or self._max_duration:  # each may begin a file
+            for data, log_time in zip(rows, log_times, strict=True):
+                self.write(topic, type_name, data, log_time)
+            return
+        try:
+            self._file.add_some(self._streams[topic, type_name], log_times, rows)
+            self._file.close_old_chunk(time.monotonic(), self._flush_period)
+        except (BagError, OSError) as exc:
+            raise self._failure(exc) from exc
+
     def write_many(
         self,
         topic: str,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -93,10 +93,22 @@ class LogWriter:
 
     def write(self, topic: str, type_name: str, data: bytes, time: int, qos: Qos | None = None) -> None:
         """Write one message, received or caused at a time [ns]."""
+        self.write_some(topic, type_name, [data], [time], qos)
+
+    def write_some(
+        self,
+        topic: str,
+        type_name: str,
+        rows: Sequence[bytes],
+        times: Sequence[int],
+        qos: Qos | None = None,
+    ) -> None:
+        """Write messages of one topic that are taken together, each with its own time, as `write`."""
         if self._memory or not self.is_recording:
-            self._keep(Received(topic, type_name, data, time, qos))
+            for data, at in zip(rows, times, strict=True):
+                self._keep(Received(topic, type_name, data, at, qos))
         elif self._config.path:
-            self._write(Received(topic, type_name, data, time, qos))
+            self._write(topic, type_name, rows, times, qos)
 
     def _keep(self, message: Received) -> None:
         """Put it into the memory; what gives way there is lost to a recording that has begun."""
@@ -109,20 +121,21 @@ class LogWriter:
     def _overflow(self) -> None:
         raise BagError("log.memory", "is too small for what came while a snapshot was written")
 
-    def _write(self, message: Received) -> None:
-        self._given += 1
-        if message.qos is not None and not self._has_input and self._writer is not None:
+    def _write(
+        self, topic: str, type_name: str, rows: Sequence[bytes], times: Sequence[int], qos: Qos | None
+    ) -> None:
+        self._given += len(rows)
+        if qos is not None and not self._has_input and self._writer is not None:
             self._with_input[self._writer.paths[-1]] = None
             self._has_input = True
-        writer, known = self._writer, self._definitions.get(message.type_name)
+        writer, known = self._writer, self._definitions.get(type_name)
         if writer is not None and self._again_at == math.inf:
-            topic, type_name, data, time, qos = message
-            self._attempt(lambda: writer.write(topic, type_name, data, time, qos=qos, known=known))
+            self._attempt(lambda: writer.write_some(topic, type_name, rows, times, qos, known))
 
-    def write_output(self, topic: str, type_name: str, data: bytes, time: int) -> None:
-        """Write one message that others get too, unless the log is for what a replay needs alone."""
+    def write_outputs(self, topic: str, type_name: str, rows: Sequence[bytes], times: Sequence[int]) -> None:
+        """Write messages that others get too, unless the log is for what a replay needs alone."""
         if self._config.topics == "all":
-            self.write(topic, type_name, data, time)
+            self.write_some(topic, type_name, rows, times)
 
     def flush_if_due(self) -> bool:
         """Write what has waited for the flush period; True where logging goes on in a new file."""
@@ -199,8 +212,8 @@ class LogWriter:
         """Write a part of what the memory holds."""
         end = time.monotonic() + _POURING
         while self._memory and self._again_at == math.inf and time.monotonic() < end:
-            for message in self._memory.take():
-                self._write(message)
+            for topic, type_name, data, at, qos in self._memory.take():
+                self._write(topic, type_name, [data], [at], qos)
 
     def _begin(self, overwrite: bool) -> None:
         config = self._config

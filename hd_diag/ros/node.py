@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -240,8 +241,10 @@ class DiagnosticNode(Node):
 
     def _signals(self, some: Sequence[tuple[SignalTopic, Reader, bytes]]) -> None:
         received, heard = np.array([self._now() for _ in some]), np.full(len(some), time.monotonic_ns())
-        for (source, _, data), now in zip(some, received.tolist(), strict=True):
-            self._log.write(source.topic, source.type_name, data, now, _QOS)
+        for _, each in groupby(zip(some, received.tolist(), strict=True), lambda each: id(each[0][0])):
+            taken, times = zip(*each, strict=True)
+            source = taken[0][0]
+            self._log.write_some(source.topic, source.type_name, [data for *_, data in taken], times, _QOS)
         self._session.messages(received, [(reader, data) for _, reader, data in some], heard)
 
     def _temperature(self, joint: str, data: bytes) -> None:

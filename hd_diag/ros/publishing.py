@@ -51,9 +51,9 @@ class Publishing:
         name = self.names.get(encoded.topic) or self._node.resolve_topic_name(encoded.topic)
         self.names[encoded.topic] = name
         publisher = self._publishers.get(encoded.topic)
-        for row, received in zip(encoded.rows, encoded.received.tolist(), strict=True):
-            data = row if isinstance(row, bytes) else row.tobytes()
-            write = self._log.write if publisher is None else self._log.write_output
-            write(name, encoded.type_name, data, received)
-            if publisher is not None:
+        rows = [row if isinstance(row, bytes) else row.tobytes() for row in encoded.rows]
+        write = self._log.write_some if publisher is None else self._log.write_outputs
+        write(name, encoded.type_name, rows, encoded.received.tolist())
+        if publisher is not None:
+            for data in rows:
                 publisher.publish(data)
