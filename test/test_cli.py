@@ -488,6 +488,8 @@ def test_a_mesh_is_swept_into_a_table_and_drawn(tmp_path: Path) -> None:
     assert len(teeth) == 200
     assert "Backlash of both flanks" in figure.read_text(encoding="utf-8")
     assert_one_line_error(hd_diag("mesh", "--sweep", "angle"), "--sweep needs --out or --figure")
+    both = ("--sweep", "angle", "--section", "1", "--out", tmp_path / "none.csv")
+    assert_one_line_error(hd_diag("mesh", *both), "--section is of one moment, --sweep of many")
 
 
 def test_mesh_takes_a_tilt_and_shows_one_section(tmp_path: Path) -> None:

@@ -137,6 +137,7 @@ def test_a_drive_in_sections_has_limits_of_its_tilt_and_a_chart(
     assert tilt["allowed"] == {"tilt": 0.0, "criterion": "overlap"}
     assert set(tilt["chart"]["criteria"]) == set(CHARTED)
     assert set(tilt["chart"]["criteria"]["peak_tooth_load"]["tilt"]) == {None}
+    assert "As built, without eccentricity, teeth of the lobe at tooth 0 overlap by 2." in result.stdout
     assert "Limits of a tilt alone at 56 N m" in result.stdout
     assert "[mrad]" in result.stdout
     assert "Allowed without eccentricity: 0.000 mrad, by overlap" in result.stdout

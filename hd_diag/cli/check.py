@@ -62,10 +62,12 @@ def describe(joint: JointConfig, assessed: Assessment) -> None:
         tell(f"  neutral_curve.points are off the fitted curve by {rms:.3g} µm rms, {most:.3g} µm at most")
     for line in gear_file.reached(assessed) if assessed.page else [_stiffness(found)]:
         tell(f"  {line}")
-    gap = "overlap" if found.loads.overlap > 0.0 else "clearance"
+    pressed = found.loads.overlap > 0.0
+    gap, told = ("overlap", ", their preload") if pressed else ("clearance", "")
     tell(
         f"  at rest: lost motion {found.lost_motion / ARCSEC:.3g} arcsec, least backlash "
-        f"{found.least_backlash * 1e6:.3g} µm, {gap} of the lobes {abs(found.loads.overlap) * 1e6:.3g} µm"
+        f"{found.least_backlash * 1e6:.3g} µm, {gap} of the lobes "
+        f"{abs(found.loads.overlap) * 1e6:.3g} µm{told}"
     )
     if assessed.page:
         tell(f"  {ASSUMED_PROFILE}")

@@ -47,6 +47,8 @@ def mesh(
             raise Problem(f"--{name} must be a number of at most {largest:g}, not {value:g}")
     if sweep and not (out or figure):
         raise Problem("--sweep needs --out or --figure")
+    if sweep and section is not None:
+        raise Problem("--section is of one moment, --sweep of many: give one of them")
     config = configured(config_file)
     found = chosen_joint(config, joint)
     found = replace(found, drive=_eccentric(found.drive, eccentricity_um, direction_deg))

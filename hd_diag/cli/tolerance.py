@@ -26,7 +26,16 @@ from hd_diag.process_pool import ProcessPool
 from hd_diag.tolerance import limit
 from hd_diag.tolerance.assembly import FACTORS
 from hd_diag.tolerance.evaluation import CRITERIA
-from hd_diag.tolerance.study import Question, Study, Tilts, document, limits_and_spreads, study, yielded
+from hd_diag.tolerance.study import (
+    Interference,
+    Question,
+    Study,
+    Tilts,
+    document,
+    limits_and_spreads,
+    study,
+    yielded,
+)
 
 
 def tolerance(
@@ -84,14 +93,7 @@ def _question(config: Config, joint: JointConfig, given: dict[str, Any]) -> Ques
 def _show(joint: str, found: Study) -> None:
     question = found.question
     tell(f"{joint}: eccentricity up to {question.largest * 1e6:.3g} µm, in all directions")
-    first = found.interference
-    tell(
-        f"Interference of the lobe at tooth 0 begins at {_um(first.across, question)} across the long axis "
-        f"(the paper's arrangement; {first.clearance * 1e6:.3f} µm of backlash without eccentricity), at "
-        f"{_um(first.any_direction.eccentricity, question)} in the worst direction; "
-        f"from {_um(first.all_teeth.eccentricity, question)} on no rotation of the cup frees the "
-        "teeth of both lobes."
-    )
+    tell(_first_interference(found.interference, question))
     for torque, row in zip(question.torque, found.limits, strict=True):
         title, most = f"Limits at {torque:g} N m", question.largest * 1e6
         show_table(
@@ -112,6 +114,22 @@ def _show(joint: str, found: Study) -> None:
         f"Resolution: eccentricity in steps of {step:.2g} µm (where a criterion jumps: "
         f"{step / limit.FINE_STEPS:.2g} µm), then solved to {limit.ROOT_TOLERANCE * 1e6:.0e} µm; angle from "
         f"the long axis {angle * 1e3:.2g} mrad, wave generator {turn * pitch * 1e6:.2g} µrad."
+    )
+
+
+def _first_interference(first: Interference, question: Question) -> str:
+    if first.clearance < 0.0 and first.all_teeth.eccentricity == 0.0:
+        return (
+            "As built, without eccentricity, teeth of the lobe at tooth 0 overlap by "
+            f"{-first.clearance * 1e6:.3f} µm, and no rotation of the cup frees the teeth of "
+            "both lobes: a preload."
+        )
+    return (
+        f"Interference of the lobe at tooth 0 begins at {_um(first.across, question)} across the long axis "
+        f"(the paper's arrangement; {first.clearance * 1e6:.3f} µm of backlash without eccentricity), at "
+        f"{_um(first.any_direction.eccentricity, question)} in the worst direction; "
+        f"from {_um(first.all_teeth.eccentricity, question)} on no rotation of the cup frees the "
+        "teeth of both lobes."
     )
 
 

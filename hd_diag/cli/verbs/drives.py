@@ -110,8 +110,14 @@ def gear() -> None:
 @click.option(
     "--eccentricity-um", type=click.FLOAT, help="Eccentricity [µm], in place of the configured one."
 )
-@click.option("--direction-deg", type=click.FLOAT, help="Its direction in the housing, and the tilt's [°].")
-@click.option("--tilt-mrad", type=click.FLOAT, help="Tilt of the wave generator [mrad], likewise.")
+@click.option(
+    "--direction-deg", type=click.FLOAT, help="Its direction in the housing, and that of a given tilt [°]."
+)
+@click.option(
+    "--tilt-mrad",
+    type=click.FLOAT,
+    help="Tilt of the wave generator [mrad], in place of the configured one; negative: the other way.",
+)
 @click.option("--section", type=int, help="Show one section, 1 at the cup's bottom. [default: all together]")
 @click.option(
     "--sweep",
