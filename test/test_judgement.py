@@ -173,7 +173,7 @@ def test_how_well_the_error_is_known_is_how_much_it_scatters_between_records() -
     """Waves whose amplitude differs from stretch to stretch: the deviation is that of many such records."""
     rng, size = np.random.default_rng(1), diagnosis().record.size
     stretch = np.arange(size) * 12 // size
-    amplitudes = (ARCSEC * (30.0 + 10.0 * rng.standard_normal(12))[stretch] for _ in range(200))
+    amplitudes = (ARCSEC * (30.0 + 10.0 * rng.standard_normal(12))[stretch] for _ in range(100))
     found = [Answer(waved(amplitude, rng)).normal for amplitude in amplitudes]
     scatter = np.std([one.value for one in found if one])
     assert np.median([one.std for one in found if one]) == pytest.approx(scatter, rel=0.25)

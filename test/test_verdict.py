@@ -69,10 +69,13 @@ TESTS = (
 )
 
 
+RECORD = prepared(columns(seconds=4.0))
+
+
 def diagnosis(*causes: Cause, **changes: Any) -> Diagnosis:
     rms = Rms(*(ARCSEC * v for v in (20.0, 5.0, 3.3, 3.3, 3.2, 3.4, 3.2, 3.1, 3.3)))
     made: dict[str, Any] = {
-        "record": prepared(columns(seconds=4.0)),
+        "record": RECORD,
         "configured": CONFIGURED,
         "findings": (),
         "refitted": refitted(),
