@@ -1,0 +1,43 @@
+"""Every number that decides what is named, with where it comes from."""
+
+from __future__ import annotations
+
+import math
+
+from hd_diag.formatting import ARCSEC
+
+TEMPER = 1.0 / 3.0
+"""Share of the log likelihood that counts: noise and shapes are approximate (Miller and Dunson, J. Am. Stat.
+Assoc. 114, 2019). Calibrated once: causes stated with 99 % are right in 99 % of the development records."""
+
+PRESENT = math.log(0.02)
+"""Prior log odds of each cause: some twenty are known, and a joint with any is one in a few."""
+
+LARGER = math.log(0.05)
+"""The same of a remainder larger than usual, which needs no cause: more common, and less informative."""
+
+UNKNOWN = math.log(0.02)
+"""The same of a shape without a known cause."""
+
+NAMED, HINTED = 0.99, 0.5
+"""Probability from which a class is named, and from which it is a hint: the convention of 1 % false alarms."""
+
+LEAST_SIZE = 0.25 * ARCSEC
+"""Own part that a cause must have [rad rms]: a tenth of what the best gears leave; less asks for nothing."""
+
+USUAL_TORSION = 0.1
+"""Change of the compliance from torque to torque, by which gears of one page differ (catalogues: ten to twenty
+per cent)."""
+
+USUAL_LINE = 1.0 * ARCSEC
+USUAL_PLACE = 1.0 * ARCSEC
+USUAL_SPEED = 1.0 * ARCSEC
+USUAL_DRIFT = 1.0 * ARCSEC
+"""What is usual of each remainder [rad]: a new gear of one arcminute has waves of one to two arcsec, and so
+have bearings, mounts and zeros."""
+
+LARGER_BY = (1.0, 3.0, 10.0, 30.0, 100.0)
+"""Sizes of a remainder over its usual one, half a decade apart: between two, the evidence changes little."""
+
+SIZES = (0.3, 1.0, 3.0, 10.0)
+"""The same of a cause's prior width over its usual size."""
