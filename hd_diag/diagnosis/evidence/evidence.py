@@ -34,12 +34,16 @@ class Group:
     widths : tuple of float
         That their prior may have, in units of the usual size.
     larger : float
-        What each width but the usual one costs [log odds].
+        What each step beyond the usual width costs [log odds].
     """
 
     places: Integers
     widths: tuple[float, ...]
     larger: float = 0.0
+
+    def cost(self, width: float) -> float:
+        """Prior log odds of a width."""
+        return self.larger * self.widths.index(width) if self.larger else 0.0
 
 
 @dataclass(frozen=True)
@@ -109,7 +113,7 @@ class Evidence:
         """Log evidence of a set with these prior widths, but for a constant and the priors of presence."""
         _, scale, _, solved, root = self._solved(widths)
         deviance = self.square + float(self.pull @ self.pull) - float(solved @ solved)
-        larger = sum(self.groups[name].larger for name, width in widths.items() if width > 1.0)
+        larger = sum(self.groups[name].cost(width) for name, width in widths.items())
         return -0.5 * deviance - float(np.sum(np.log(np.diag(root)))) + larger
 
     def tuned(self, widths: Widths, names: Iterable[Key] | None = None) -> tuple[float, dict[Key, float]]:
@@ -157,7 +161,7 @@ class Evidence:
             for width in group.widths:
                 wide = 1.0 + width**2 * values
                 gain = 0.5 * float(np.sum(width**2 * along**2 / wide - np.log(wide)))
-                best = max(best, (gain + (group.larger if width > 1.0 else 0.0), width))
+                best = max(best, (gain + group.cost(width), width))
             found[name] = best
         return found
 

@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from hd_diag.diagnosis.evidence.calibration import SIZES
 from hd_diag.diagnosis.evidence.sets import Remainders, Set, presence
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.diagnosis.fit.present_effects import Item
-from hd_diag.diagnosis.fit.refit import FEW_STARTS, distinct, refit
+from hd_diag.diagnosis.fit.refit import DISTINCT, FEW_STARTS, distinct, refit
 from hd_diag.diagnosis.search.ranking import competes
-from hd_diag.diagnosis.search.unmodelled_terms import OUTPUT_LINES, UNMODELLED_TERMS
+from hd_diag.diagnosis.search.unmodelled_terms import INPUT_LINE, OUTPUT_LINES, UNMODELLED_TERMS
+from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Effect, Stage
+from hd_diag.effects.remainders import ORDERS, PLACE
 
-_MOST = 5  # causes
+_MOST, _MOST_TURNS = 5, 12  # causes; additions and exchanges
+_RIVALS = 6  # of each cause, that are settled in its place
 _TRIED = 4  # candidates that are settled in each turn
 _NEAR = 0.5  # share of the best candidate's gain from which another is tried
-_SHAPES = ("torsional_hardening",)  # torsion's own shape: a remainder
+_OF_MODEL = ("torsional_hardening", "torque_gain", "wear_backlash")  # torsion's shape, compliances, the datum
+_ZERO, _TURNED = "torque_offset", 0.01  # share of the torques that another zero must put on the other flank
 _TERMS = ("creep", "rests", "place", "sided_torque")
 _BY_TORQUE = ("friction", "torsion")
+_HOPELESS = 100.0  # log odds, beyond which another minimum is not followed
+_CLOSE = 10.0  # log odds, within which a set is settled before it is judged
 RESTARTS = 2  # causes, up to which each lets the parameters be searched for again
 
 
@@ -39,14 +43,15 @@ class Candidate(NamedTuple):
 def searched(fit: LinearisedFit) -> list[Effect]:
     """Causes that a record can be searched for.
 
-    By a motor's current what acts as torque is the motor's own; torsion's shape is a remainder.
+    By a motor's current what acts as torque is the motor's own. What parameters and the torsion's shape are is
+    none.
     """
     causes = [
         effect
         for effect in fit.data.searched
-        if competes(fit, effect) and effect.name not in _SHAPES and not (fit.data.given and _of_motor(effect))
+        if competes(fit, effect) and effect.name not in _OF_MODEL and not (fit.data.given and _of_motor(effect))
     ]
-    terms = [term for term in (*UNMODELLED_TERMS, OUTPUT_LINES[0]) if term.name in _TERMS or term in OUTPUT_LINES]
+    terms = [term for term in (*UNMODELLED_TERMS, OUTPUT_LINES[0], INPUT_LINE) if term.name in _TERMS or term in (OUTPUT_LINES[0], INPUT_LINE)]
     return [*causes, *(term for term in terms if fit.data.testable(term)[0])]
 
 
@@ -54,13 +59,13 @@ def _of_motor(effect: Effect) -> bool:
     return effect.kind in _BY_TORQUE or effect.stage == Stage.TORQUE
 
 
-def candidates(at: Set, refused: Collection[str] = ()) -> list[Candidate]:
+def candidates(at: Set) -> list[Candidate]:
     """Every cause that is not in a set, at its best grid point beside it; the best first."""
     fit, chosen = at.fit, at.chosen
     rest = fit.remainder(chosen)
     points: dict[str, tuple[Effect, tuple[float, ...]]] = {}
     for effect in searched(fit):
-        if effect.name in at.names or effect.name in refused:
+        if effect.name in at.names:
             continue
         for number, nonlinear in enumerate(effect.starts(fit.signals, rest).points):
             if fit.white(effect, nonlinear).shape[1]:
@@ -96,60 +101,137 @@ def begun(fit: LinearisedFit) -> Set:
     return start.valued().settled()
 
 
-def search(starts: list[LinearisedFit], rng: np.random.Generator) -> Set:
-    """The best set of causes, from the best of some starts on."""
-    first = begun(starts[0]).relearned().settled()
-    best = first
-    for start in starts[1:]:
-        other = begun(replace(start, whiten=first.fit.whiten))
-        if other.value > best.value:
-            best = other
-    refused = set[str]()
-    for _ in range(2 * _MOST):
-        if len(best.causes) >= _MOST:
-            break
-        now = best.relearned()
-        found = _next(now, refused, rng)
+@dataclass(frozen=True)
+class Found:
+    """The best set of causes, and what else was weighed against it.
+
+    Attributes
+    ----------
+    best : Set
+    rivals : tuple of Set
+        The same causes at other minima of the parameters that are nearly as good.
+    instead : dict
+        Of each cause by name: log evidence of sets with another in its place, by that one's name; with none
+        in its place, by the empty name.
+    """
+
+    best: Set
+    rivals: tuple[Set, ...] = ()
+    instead: dict[str, dict[str, float]] = field(default_factory=dict)
+
+
+def search(starts: list[LinearisedFit], rng: np.random.Generator, torque_zero: float = 0.0) -> Found:
+    """The best set of causes, and what other minima of the parameters make of it.
+
+    `torque_zero` is where a fit from many starts has the torque's zero [N m]: one that puts many torques on the
+    other flank is out of reach of steps from the reported torque.
+    """
+    first = begun(starts[0].with_noise(starts[0].data.given))
+    whiten = first.learned().whiten
+    minima = [begun(replace(start, whiten=whiten)) for start in starts]
+    if turned := _with_torque_zero(minima[0], torque_zero):
+        minima = [one.on(turned) for one in minima]
+        minima.append(turned)
+    best, instead = max(minima, key=lambda one: one.value), dict[str, dict[str, float]]()
+    for _ in range(_MOST_TURNS):
+        now = best.clear().relearned()
+        found = _next(now) if len(now.causes) < _MOST else None
         if found is None:
+            found, instead = _exchanged(now)
+        if found is None:
+            best = now
             break
-        best = _exchanged(_fewer(found), rng)
-    return best
+        others = [one for one in minima if one.value > best.value - _HOPELESS]
+        minima = _at_minima(_fewer(found), others, rng)
+        best = minima[0]
+    near = (best.at(one.fit.parameters).settled(1, 0) for one in minima[1:] if one.value > minima[0].value - _CLOSE)
+    return Found(best, tuple(one for one in near if one.value > best.value - _CLOSE), instead)
 
 
-def _next(now: Set, refused: set[str], rng: np.random.Generator) -> Set | None:
+def _with_torque_zero(at: Set, zero: float) -> Set | None:
+    """With an offset of the torque as large as some zero, on rows clear of both; None where few change flanks."""
+    torque = at.fit.data.record.torque
+    effect = next((one for one in searched(at.fit) if one.name == _ZERO), None)
+    if effect is None or np.mean((torque > 0.0) != (torque + zero > 0.0)) < _TURNED:
+        return None
+    item, widths = (effect, ()), {**at.widths, _ZERO: 1.0}
+    more = replace(at, causes=(item,), widths=widths)
+    there = replace(more, fit=more.fit.beside((*at.fit.present, (item, np.array([zero])))))
+    return there.clear().settled(8)
+
+
+def _exchanged(now: Set) -> tuple[Set | None, dict[str, dict[str, float]]]:
+    """A better set with another cause in the place of one, if there is any; and what was weighed for each."""
+    instead = dict[str, dict[str, float]]()
+    for effect, _ in now.causes:
+        without = now.without(effect.name).settled()
+        trials = [without]
+        for one in candidates(without)[:_RIVALS]:
+            if one.name != effect.name and without.value + one.gain > now.value - _CLOSE:
+                there = without.beside(one.item, one.widths).settled()
+                trials += [there] if there.sensible else []
+        best = max(trials, key=lambda one: one.value)
+        if best.value > now.value:
+            return best, {}
+        instead[effect.name] = {"".join(one.names - without.names): one.value for one in trials}
+    return None, instead
+
+
+def _at_minima(found: Set, others: list[Set], rng: np.random.Generator) -> list[Set]:
+    """The same causes from other minima of the parameters on, and from where a global search leads; best first."""
+    own = found.fit.data.configured
+    points = [found.fit.parameters]
+    sets = [found]
+    if len(found.causes) <= RESTARTS and _may_be_elsewhere(found):
+        others = [*others, found.at(restarted(found, rng))]
+    for other in others:
+        if len(distinct([*points, other.fit.parameters], own)) > len(points):
+            points.append(other.fit.parameters)
+            there = found.at(other.fit.parameters).settled()
+            if there.sensible:
+                sets.append(there)
+    return sorted(sets, key=lambda one: -one.value)
+
+
+def _next(now: Set) -> Set | None:
     """The set with one cause more, settled; None where none brings more than it costs."""
-    ranked = [one for one in candidates(now, refused) if one.gain > 0.0]
+    ranked = [one for one in candidates(now) if one.gain > 0.0]
     if not ranked:
         return None
-    near = [one for one in ranked[:_TRIED] if one.gain > _NEAR * ranked[0].gain or one.gain > ranked[0].gain - 10.0]
+    best = ranked[0].gain
+    near = [one for one in ranked[:_TRIED] if one.gain > min(_NEAR * best, best - _CLOSE)]
     trials = [now.beside(one.item, one.widths).settled() for one in near]
     trials = [one for one in trials if one.sensible]
-    if len(now.causes) < RESTARTS:
-        trials += [again for one in trials[:2] if (again := restarted(one, rng)) is not None]
-    best = max(trials, key=lambda one: one.value, default=None)
-    return best if best is not None and best.value > now.value else None
+    best_set = max(trials, key=lambda one: one.value, default=None)
+    return best_set if best_set is not None and best_set.value > now.value else None
 
 
-def restarted(at: Set, rng: np.random.Generator) -> Set | None:
-    """The same causes where a global search of the parameters leads beside them; None where it leads back."""
+def _may_be_elsewhere(at: Set) -> bool:
+    """Whether another minimum may do better: one of a displacement that a line stands for, or in a misfit.
+
+    Where columns that any cause may look like explain no more than noise gives them, no other minimum can.
+    """
+    if any(at.widths[effect.name] > 1.0 for effect in (*ORDERS, PLACE)):
+        return True
+    more, here = at.fit.flexible(), at.fit.deviance(at.chosen)
+    return here - at.fit.deviance(at.chosen, more) > more.shape[1] + DISTINCT
+
+
+def restarted(at: Set, rng: np.random.Generator) -> Floats:
+    """Parameters (p,) that a global search leads to, the causes of a set taking part freely."""
     fit, own = at.fit, at.fit.data
     extra = fit.joined(at.causes)
     more = fit.effects.torque(fit.sized(at.chosen, fit.fit(at.chosen)[0]))[own.at]
     record = replace(own.record, torque=own.record.torque + more)
-    again = refit(record, own.configured, rng, extra, fit.parameters, FEW_STARTS, held=fit.held)
-    if not distinct([fit.parameters, again.parameters], own.configured)[1:]:
-        return None
-    return replace(at, fit=fit.moved(again.parameters).beside(fit.present)).settled()
+    return refit(record, own.configured, rng, extra, fit.parameters, FEW_STARTS, held=fit.held).parameters
 
 
 def _fewer(at: Set) -> Set:
     """Without causes that cost more than they bring beside the others."""
+    evidence = at.evidence()
     for effect, _ in at.causes[:-1]:
-        fewer = at.without(effect.name).settled()
-        if fewer.value > at.value:
+        rest = {name: width for name, width in at.widths.items() if name != effect.name}
+        loss = at.value - at.presence - evidence.tuned(rest)[0] + presence(at.fit, effect)
+        if loss < _CLOSE and (fewer := at.without(effect.name).settled()).value > at.value:
             return _fewer(fewer)
-    return at
-
-
-def _exchanged(at: Set, rng: np.random.Generator) -> Set:
     return at

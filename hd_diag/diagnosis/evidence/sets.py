@@ -10,6 +10,7 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.evidence import calibration
 from hd_diag.diagnosis.evidence.evidence import Evidence
+from hd_diag.diagnosis.fit.design import projection
 from hd_diag.diagnosis.fit.joint_refinement import free, polished, sensible, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.present_effects import Item
@@ -122,7 +123,13 @@ class Set:
 
     def relearned(self) -> Set:
         """With noise learned beside it, valued anew: the evidence of other noise is not comparable."""
-        return replace(self, fit=self.fit.with_noise(self.chosen).corrected(self.chosen)).valued()
+        return replace(self, fit=self.learned().corrected(self.chosen)).valued()
+
+    def learned(self) -> LinearisedFit:
+        """The fit with the noise of what it leaves beyond all that any cause may look like."""
+        fit, rest = self.fit, self.fit.remainder(self.chosen)
+        wide = np.concatenate((fit.always(), fit.flexible()), axis=1)
+        return replace(fit, whiten=fit.data.whitening_of(rest - projection(wide, rest)))
 
     def beside(self, item: Item, widths: Widths) -> Set:
         """With one cause more, at the size that fits with some widths; not settled."""
@@ -135,6 +142,21 @@ class Set:
         widths = {one: width for one, width in self.widths.items() if one != name}
         fewer = replace(self, causes=causes, widths=widths)
         return replace(fewer, fit=fewer.fit.corrected(fewer.chosen))
+
+    def clear(self) -> Set:
+        """On rows where no torque that its causes leave may be near zero; valued anew if these are fewer."""
+        sized = self.fit.sized(self.chosen, self.fit.fit(self.chosen)[0])
+        fit = self.fit.clear_of(self.fit.effects.possible_torques(sized))
+        return self if fit is self.fit else replace(self, fit=fit.beside(sized)).valued()
+
+    def on(self, other: Set) -> Set:
+        """On the rows and with the noise of another set."""
+        fit = replace(self.fit, data=other.fit.data, whiten=other.fit.whiten)
+        return replace(self, fit=fit.beside(self.fit.present)).valued()
+
+    def at(self, parameters: Floats) -> Set:
+        """At other parameters (p,), with the same sizes; not settled."""
+        return replace(self, fit=self.fit.moved(parameters).beside(self.fit.present))
 
     @property
     def sensible(self) -> bool:

@@ -26,6 +26,7 @@ _CELLS = 240  # per turn of the output
 _WIDTHS = (0.06, 0.15)  # of a bump there [rad]
 _PERIODS = 4.0  # of a line within the output's way
 _LOWEST, _HIGHEST = 8, 1.9  # line per output turn; per input turn
+_ORDERS = np.array([3, *range(5, 41)])  # of the input, that no gear must have
 _PEAKS = 3  # of a spectrum that are looked at, with their neighbours
 
 
@@ -132,6 +133,27 @@ class OutputLine(UnmodelledTerm):
         """The numbers beside."""
         beside = np.array([nonlinear[0] - 1.0, nonlinear[0] + 1.0])
         return [(float(one),) for one in np.intersect1d(beside, _line_numbers(signals))]
+
+
+@dataclass(frozen=True, kw_only=True)
+class InputLine(UnmodelledTerm):
+    """A wave with a whole number of periods per input turn, beyond those that any gear has."""
+
+    def columns(self, signals: Signals, nonlinear: Values) -> Floats:
+        """See :meth:`Effect.columns`."""
+        return turning(nonlinear[0] * signals.wave_generator_angle)
+
+    def testable(self, signals: Signals) -> tuple[bool, str]:
+        """Where the input turns several times."""
+        turned = float(np.ptp(signals.wave_generator_angle)) if signals.size else 0.0
+        return turned > 2.0 * np.pi * _PERIODS, "the input turns too little to show a line"
+
+    def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
+        """The strongest of a residual's whole orders."""
+        if residual is None:
+            return Starts([(float(_ORDERS[0]),)], _ORDERS.size)
+        strength = integer_orders(signals.wave_generator_angle, residual, int(_ORDERS[-1]))[_ORDERS]
+        return Starts([(float(one),) for one in _ORDERS[np.argsort(strength)[::-1][:_PEAKS]]], _ORDERS.size)
 
 
 def _line_numbers(signals: Signals) -> Integers:
@@ -292,3 +314,14 @@ OUTPUT_LINES = tuple(
     for number in range(1, 6)
 )
 """As many as a record may have of them."""
+
+INPUT_LINE = InputLine(
+    name="input_line",
+    cause="belongs to the input's turn",
+    frame="input",
+    quantities=(
+        amplitude("amplitude", "rad", 1e-3, 3.0 * ARCSEC, "of the transmission error"),
+        direction("phase", "of the wave at the wave generator's angle zero"),
+        Quantity("number", "-", 3.0, 1e3, 1.0, "periods per input turn", False, discrete=True),
+    ),
+)
