@@ -29,7 +29,7 @@ from hd_diag.diagnosis.search.acceptance import (
     size,
 )
 from hd_diag.diagnosis.search.ranking import ranked
-from hd_diag.diagnosis.search.unmodelled_terms import UNMODELLED_TERMS
+from hd_diag.diagnosis.evidence.unmodelled_terms import UNMODELLED_TERMS
 from hd_diag.drive import transmission_error
 from hd_diag.effects.signals import Signals
 from hd_diag.simulation import Motion, Noise, SimulatedJoint, simulate

@@ -15,7 +15,7 @@ from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.gain import Rms
 from hd_diag.diagnosis.search.acceptance import LEAST_SIZE
-from hd_diag.diagnosis.search.causes import Search
+from hd_diag.diagnosis.evidence.solution import Search
 
 AS_NOISE = Rms(*(ARCSEC * v for v in (20.0, 5.0, 2.0, 2.0, 2.0, 2.1, 2.0, 1.9, 2.1)))
 MORE = Rms(*(ARCSEC * v for v in (20.0, 5.0, 3.0, 3.0, 3.0, 3.0, 2.0, 1.9, 2.9)))  # it may be noise, or not

@@ -8,7 +8,7 @@ from benches import EFFECTS, POINT, bench, of, swinging
 from joint_records import ARCSEC, NOISE
 
 from hd_diag.diagnosis.fit.joint_refinement import sensible, settle
-from hd_diag.diagnosis.search.causes import causes
+from hd_diag.diagnosis.evidence.solution import causes
 from hd_diag.diagnosis.search.exchange import (
     at_best_choices,
     deviance_of,

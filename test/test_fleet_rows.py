@@ -15,7 +15,7 @@ from test_verdict import SKIP, diagnosis
 
 from hd_diag.config.configuration import resolve
 from hd_diag.diagnosis.findings import Finding
-from hd_diag.diagnosis.search.causes import causes
+from hd_diag.diagnosis.evidence.solution import causes
 from hd_diag.fleet.rows import Row, amplitude_std, judged
 from hd_diag.fleet.run import find_bags, survey, tasks
 from hd_diag.fleet.series import Series, classes, series_of

@@ -13,8 +13,8 @@ from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.record import Record
-from hd_diag.diagnosis.search.causes import Search, parameters_of
-from hd_diag.diagnosis.search.kept_parameters import DISPLACEMENTS, Kept, keeping, kept_parameters
+from hd_diag.diagnosis.evidence.solution import Search, parameters_of
+from hd_diag.diagnosis.evidence.kept_parameters import DISPLACEMENTS, Kept, keeping, kept_parameters
 
 GROUPS = fit_parameters.groups(CONFIGURED)
 PARAMETERS = fit_parameters.count(CONFIGURED)

@@ -8,7 +8,7 @@ from benches import CONFIGURED, EFFECTS, POINT, bench, of
 
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.search.ranking import Projector, candidates, family_size, ranked
-from hd_diag.diagnosis.search.unmodelled_terms import UNMODELLED_TERMS, UnmodelledTerm
+from hd_diag.diagnosis.evidence.unmodelled_terms import UNMODELLED_TERMS, UnmodelledTerm
 from hd_diag.effects.effect import Stage
 
 RUBBED, DRY = EFFECTS["hysteresis"], EFFECTS["coulomb_windup"]

@@ -20,7 +20,7 @@ from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import linearise
 from hd_diag.diagnosis.fit.refit import FEW_STARTS, distinct, nuisance, refit, usable
 from hd_diag.diagnosis.record import Record, prepare
-from hd_diag.diagnosis.search.causes import Search, parameters_of
+from hd_diag.diagnosis.evidence.solution import Search, parameters_of
 
 RNG = np.random.default_rng(0)
 PARAMETERS = fit_parameters.count(CONFIGURED)

@@ -30,8 +30,8 @@ from hd_diag.config.configuration import dump, resolve
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
 from hd_diag.diagnosis.judgement import Answer
 from hd_diag.diagnosis.record import Record
-from hd_diag.diagnosis.search.causes import Search, causes
-from hd_diag.diagnosis.search.unexplained import Unexplained
+from hd_diag.diagnosis.evidence.solution import Search, causes
+from hd_diag.diagnosis.evidence.unexplained import Unexplained
 from hd_diag.drive import mesh_state, transmission_error
 from hd_diag.formatting import arcsec, words
 from hd_diag.gears.catalogue import table

@@ -24,11 +24,11 @@ from hd_diag.diagnosis.predictive import Tried, most_predictive
 from hd_diag.diagnosis.record import prepare
 from hd_diag.diagnosis.search import causes as search_causes
 from hd_diag.diagnosis.search.acceptance import passing
-from hd_diag.diagnosis.search.causes import Search, causes, doubted, left_out, motor_deviations, parameters_of
-from hd_diag.diagnosis.search.kept_parameters import GROUPS, Kept, kept_parameters
+from hd_diag.diagnosis.evidence.solution import Search, causes, doubted, left_out, motor_deviations, parameters_of
+from hd_diag.diagnosis.evidence.kept_parameters import GROUPS, Kept, kept_parameters
 from hd_diag.diagnosis.search.minima import globally_refitted, speed_dependent
 from hd_diag.diagnosis.search.ranking import candidates, family_size, ranked
-from hd_diag.diagnosis.search.selection import (
+from hd_diag.diagnosis.evidence.search import (
     _next,
     _plainly_better,
     _ranked_when_settled,
@@ -36,8 +36,8 @@ from hd_diag.diagnosis.search.selection import (
     _with_torque_zero,
     search,
 )
-from hd_diag.diagnosis.search.unexplained import with_table
-from hd_diag.diagnosis.search.unmodelled_terms import UNMODELLED_TERMS, UnmodelledTerm
+from hd_diag.diagnosis.evidence.unexplained import with_table
+from hd_diag.diagnosis.evidence.unmodelled_terms import UNMODELLED_TERMS, UnmodelledTerm
 from hd_diag.diagnosis.work import Work
 from hd_diag.drive import transmission_error
 from hd_diag.effects.signals import Signals

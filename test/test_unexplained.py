@@ -9,9 +9,9 @@ from benches import Part, bench, swinging
 from joint_records import ARCSEC, columns, prepared
 
 from hd_diag.diagnosis.record import Record
-from hd_diag.diagnosis.search.causes import Search
-from hd_diag.diagnosis.search.unexplained import Unexplained, unexplained
-from hd_diag.diagnosis.search.unmodelled_terms import UNMODELLED_TERMS
+from hd_diag.diagnosis.evidence.solution import Search
+from hd_diag.diagnosis.evidence.unexplained import Unexplained, unexplained
+from hd_diag.diagnosis.evidence.unmodelled_terms import UNMODELLED_TERMS
 from hd_diag.effects.signals import Signals
 
 ORDER = 3.37

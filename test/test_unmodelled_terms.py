@@ -7,7 +7,7 @@ import pytest
 from benches import CONFIGURED
 from numpy.testing import assert_allclose, assert_array_equal
 
-from hd_diag.diagnosis.search.unmodelled_terms import OUTPUT_LINES, UNMODELLED_TERMS, UnmodelledTerm
+from hd_diag.diagnosis.evidence.unmodelled_terms import OUTPUT_LINES, UNMODELLED_TERMS, UnmodelledTerm
 from hd_diag.effects import CATALOGUE
 from hd_diag.effects.contact_table import contact_table
 from hd_diag.effects.contact_weights import ContactWeights

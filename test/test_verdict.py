@@ -17,9 +17,9 @@ from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.refit import Refit
 from hd_diag.diagnosis.gain import Gain, Rms
 from hd_diag.diagnosis.judgement import Answer
-from hd_diag.diagnosis.search.causes import Cause
-from hd_diag.diagnosis.search.order_table import OrderRow
-from hd_diag.diagnosis.search.unexplained import Unexplained
+from hd_diag.diagnosis.evidence.solution import Cause
+from hd_diag.diagnosis.evidence.order_table import OrderRow
+from hd_diag.diagnosis.evidence.unexplained import Unexplained
 from hd_diag.diagnosis.verdict import as_json, sentence, summary
 from hd_diag.effects import CATALOGUE
 from hd_diag.extended_model import ExtendedModel, Term

@@ -13,7 +13,7 @@ from hd_diag.diagnosis import work
 from hd_diag.diagnosis.diagnosis import diagnose
 from hd_diag.diagnosis.judgement import Answer
 from hd_diag.diagnosis.record import RecordError
-from hd_diag.diagnosis.search.selection import FURTHER_CAUSES, search
+from hd_diag.diagnosis.evidence.search import FURTHER_CAUSES, search
 from hd_diag.diagnosis.verdict import as_json, sentence
 from hd_diag.diagnosis.work import Work
 

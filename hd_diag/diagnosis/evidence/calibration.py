@@ -20,14 +20,14 @@ UNKNOWN = math.log(0.02)
 """The same of a shape without a known cause."""
 
 NAMED, HINTED = 0.99, 0.5
-"""Probability from which a class is named, and from which it is a hint: the convention of 1 % false alarms."""
+"""Probability from which a class is named, and from which it is a hint: one false alarm in a hundred."""
 
 LEAST_SIZE = 0.25 * ARCSEC
 """Own part that a cause must have [rad rms]: a tenth of what the best gears leave; less asks for nothing."""
 
 USUAL_TORSION = 0.1
-"""Change of the compliance from torque to torque, by which gears of one page differ (catalogues: ten to twenty
-per cent)."""
+"""Change of the compliance from torque to torque, by which gears of one page differ: catalogues allow ten to
+twenty per cent."""
 
 USUAL_LINE = 0.5 * ARCSEC
 USUAL_PLACE = 0.3 * ARCSEC

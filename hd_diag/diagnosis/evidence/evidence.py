@@ -1,4 +1,4 @@
-"""Evidence of sets of columns, from one Gram matrix: sizes integrated out, prior widths chosen by the evidence.
+"""Evidence of sets of columns from one Gram matrix: sizes integrated out, prior widths by the evidence.
 
     log evidence(S) = -1/2 [ y'y - m' (G + 1/L)^-1 m + log det(1 + L G) ] + log prior(S)
 
@@ -12,7 +12,7 @@ from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.linalg import cholesky, solve_triangular
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.evidence.calibration import TEMPER
@@ -111,7 +111,7 @@ class Evidence:
 
     def log(self, widths: Widths) -> float:
         """Log evidence of a set with these prior widths, but for a constant and the priors of presence."""
-        _, scale, _, solved, root = self._solved(widths)
+        _, _, _, solved, root = self._solved(widths)
         deviance = self.square + float(self.pull @ self.pull) - float(solved @ solved)
         larger = sum(self.groups[name].cost(width) for name, width in widths.items())
         return -0.5 * deviance - float(np.sum(np.log(np.diag(root)))) + larger
@@ -167,7 +167,7 @@ class Evidence:
 
     def coefficients(self, widths: Widths) -> tuple[Floats, dict[Key, Floats]]:
         """Most probable coefficients: of the base, in its units, and of each group, in usual sizes."""
-        places, scale, _, solved, root = self._solved(widths)
+        _, scale, _, solved, root = self._solved(widths)
         whole = scale * solve_triangular(root, solved, lower=True, trans=1)
         at, found = self.base, {}
         for name in widths:
@@ -176,14 +176,13 @@ class Evidence:
             at += size
         return whole[: self.base], found
 
-    def own_share(self, widths: Widths, name: Key) -> float:
-        """Share of a group's information that the rest of a set cannot imitate."""
-        others = {one: width for one, width in widths.items() if one != name}
-        places, scale, _, _, root = self._solved(others)
+    def information(self, widths: Widths, name: Key) -> tuple[Floats, Floats]:
+        """Of a group in usual sizes, tempered, (k, k): what a set beside it cannot imitate, and all of it."""
+        places, scale, _, _, root = self._solved(widths)
         own = self.groups[name].places
         across = solve_triangular(root, scale[:, None] * self.gram[np.ix_(places, own)], lower=True)
         whole = self.gram[np.ix_(own, own)]
-        return float(np.trace(whole - across.T @ across) / max(np.trace(whole), 1e-300))
+        return whole - across.T @ across, whole
 
     def _solved(self, widths: Widths) -> tuple[Integers, Floats, Floats, Floats, Floats]:
         """Places, scales, right side, half-solved right side and Cholesky root of a set."""
@@ -197,8 +196,3 @@ class Evidence:
         root = cholesky(matrix, lower=True, check_finite=False)
         solved = solve_triangular(root, right, lower=True, check_finite=False)
         return at, scale, right, solved, root
-
-    def covariance(self, widths: Widths) -> Floats:
-        """Of the coefficients of a set, in the units of :meth:`coefficients`, shape (k, k)."""
-        _, scale, _, _, root = self._solved(widths)
-        return np.asarray(scale[:, None] * cho_solve((root, True), np.eye(scale.size)) * scale)

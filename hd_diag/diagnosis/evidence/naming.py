@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from hd_diag.diagnosis.evidence.calibration import (
     CERTAIN_SIZE,
     CLASS_SHARE,
-    HINTED,
     LEAST_SIZE,
     MOST_ALIKE,
     NAMED,
@@ -95,11 +94,6 @@ def _doubt(alike: tuple[str, ...], probability: float, own: float, deviation: fl
     return ""
 
 
-def is_hint(standing: Standing) -> bool:
-    """Whether a cause that is not named is worth a word."""
-    return bool(standing.doubt) and standing.probability >= HINTED
-
-
 def own_size(fit: LinearisedFit, others: Chosen, item: Item) -> tuple[float, float]:
     """Rms of what the model and other effects leave of an effect's part, and its deviation by noise [rad]."""
     whole = (*others, item)
@@ -112,8 +106,3 @@ def own_size(fit: LinearisedFit, others: Chosen, item: Item) -> tuple[float, flo
     own = float(np.std(rest))
     information = float(np.linalg.norm(fit.whiten(rest, fit.data.run)))
     return own, own / max(information, 1e-300)
-
-
-def doubted(standing: Standing, why: str) -> Standing:
-    """The same with another reason not to name it."""
-    return standing if standing.doubt else replace(standing, doubt=why)

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
+from hd_diag.arrays import Floats
+from hd_diag.diagnosis.evidence.calibration import NAMED
 from hd_diag.diagnosis.evidence.sets import Remainders, Set, presence
+from hd_diag.diagnosis.evidence.unmodelled_terms import UNMODELLED_TERMS
 from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.fit.fit_parameters import alike
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.diagnosis.fit.present_effects import Item
 from hd_diag.diagnosis.fit.refit import DISTINCT, FEW_STARTS, distinct, refit
-from hd_diag.diagnosis.search.ranking import competes
-from hd_diag.diagnosis.search.unmodelled_terms import INPUT_LINE, OUTPUT_LINES, UNMODELLED_TERMS
-from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Effect, Stage
 from hd_diag.effects.remainders import ORDERS, PLACE
 
@@ -24,11 +26,19 @@ _TRIED = 4  # candidates that are settled in each turn
 _NEAR = 0.5  # share of the best candidate's gain from which another is tried
 _OF_MODEL = ("torsional_hardening", "torque_gain", "wear_backlash")  # torsion's shape, compliances, the datum
 _ZERO, _TURNED = "torque_offset", 0.01  # share of the torques that another zero must put on the other flank
-_TERMS = ("creep", "rests", "place", "sided_torque")
 _BY_TORQUE = ("friction", "torsion")
 _HOPELESS = 100.0  # log odds, beyond which another minimum is not followed
 _CLOSE = 10.0  # log odds, within which a set is settled before it is judged
+_TO_MINIMUM = 5  # rounds of settling
+_FIRST, _TURN = 0.15, 0.6  # of the time, that is gone before; of what is left of the search, after each turn
 RESTARTS = 2  # causes, up to which each lets the parameters be searched for again
+
+
+SEARCHED = 0.6
+"""Share of the time that a diagnosis may take, by which the search must end."""
+
+FURTHER_CAUSES = "looking for further causes"
+"""What is left out where it has no more time."""
 
 
 class Candidate(NamedTuple):
@@ -40,23 +50,30 @@ class Candidate(NamedTuple):
     widths: dict[str, float]
 
 
-def searched(fit: LinearisedFit) -> list[Effect]:
-    """Causes that a record can be searched for.
+def competes(fit: LinearisedFit, effect: Effect) -> bool:
+    """Whether an effect can be judged: what acts under a torque that was not measured cannot.
 
-    By a motor's current what acts as torque is the motor's own. What parameters and the torsion's shape are is
-    none.
+    What the record cannot prove competes all the same: else the nearest of what it can would be named for it.
     """
-    causes = [
-        effect
-        for effect in fit.data.searched
-        if competes(fit, effect) and effect.name not in _OF_MODEL and not (fit.data.given and _of_motor(effect))
-    ]
-    terms = [term for term in (*UNMODELLED_TERMS, OUTPUT_LINES[0], INPUT_LINE) if term.name in _TERMS or term in (OUTPUT_LINES[0], INPUT_LINE)]
-    return [*causes, *(term for term in terms if fit.data.testable(term)[0])]
+    known = fit.data.source.has_torque
+    if fit.data.testable(effect)[0]:
+        return known or effect.stage != Stage.TORQUE
+    return known and effect.stage != Stage.NOWHERE
 
 
-def _of_motor(effect: Effect) -> bool:
-    return effect.kind in _BY_TORQUE or effect.stage == Stage.TORQUE
+def is_searched(fit: LinearisedFit, effect: Effect) -> bool:
+    """Whether a record can be searched for a cause.
+
+    By a motor's current what acts as torque is the motor's own. Parameters and the torsion's shape are none.
+    """
+    of_motor = effect.kind in _BY_TORQUE or effect.stage == Stage.TORQUE
+    return competes(fit, effect) and effect.name not in _OF_MODEL and not (fit.data.given and of_motor)
+
+
+def searched(fit: LinearisedFit) -> list[Effect]:
+    """Causes and shapes of no known cause that a record can be searched for."""
+    causes = [effect for effect in fit.data.searched if is_searched(fit, effect)]
+    return [*causes, *(term for term in UNMODELLED_TERMS if fit.data.testable(term)[0])]
 
 
 def candidates(at: Set) -> list[Candidate]:
@@ -123,7 +140,7 @@ class Found:
 def search(starts: list[LinearisedFit], rng: np.random.Generator, torque_zero: float = 0.0) -> Found:
     """The best set of causes, and what other minima of the parameters make of it.
 
-    `torque_zero` is where a fit from many starts has the torque's zero [N m]: one that puts many torques on the
+    `torque_zero` is the torque's zero by a fit from many starts [N m]: one that puts many torques on the
     other flank is out of reach of steps from the reported torque.
     """
     first = begun(starts[0].with_noise(starts[0].data.given))
@@ -133,23 +150,51 @@ def search(starts: list[LinearisedFit], rng: np.random.Generator, torque_zero: f
         minima = [one.on(turned) for one in minima]
         minima.append(turned)
     best, instead = max(minima, key=lambda one: one.value), dict[str, dict[str, float]]()
-    for _ in range(_MOST_TURNS):
-        now = best.clear().relearned()
-        found = _next(now) if len(now.causes) < _MOST else None
-        if found is None:
-            found, instead = _exchanged(now)
-        if found is None:
-            best = now
+    work = best.fit.work
+    for turn in range(_MOST_TURNS):
+        found, done = None, False
+        with work.until(SEARCHED, FURTHER_CAUSES):
+            best = best.clear().relearned()
+            work.tell(
+                _FIRST + (SEARCHED - _FIRST) * (1.0 - _TURN**turn),
+                f"looking for cause {len(best.causes) + 1}",
+            )
+            found = _next(best) if len(best.causes) < _MOST else None
+            if found is None:
+                found, instead = _exchanged(best)
+            if found is not None:
+                others = [one for one in minima if one.value > best.value - _HOPELESS]
+                minima = _at_minima(_fewer(found), others, rng)
+            done = True
+        if found is None or not done:
             break
-        others = [one for one in minima if one.value > best.value - _HOPELESS]
-        minima = _at_minima(_fewer(found), others, rng)
         best = minima[0]
-    near = (best.at(one.fit.parameters).settled(1, 0) for one in minima[1:] if one.value > minima[0].value - _CLOSE)
-    return Found(best, tuple(one for one in near if one.value > best.value - _CLOSE), instead)
+    return Found(best, _rivals(best, minima), instead)
+
+
+def _rivals(best: Set, minima: list[Set]) -> tuple[Set, ...]:
+    """The same causes at other minima of the parameters, where these do nearly as well."""
+    own, found = best.fit.data.configured, list[Set]()
+    for one in minima[1:]:
+        if one.value > minima[0].value - _CLOSE:
+            there = best.at(one.fit.parameters).settled(_TO_MINIMUM, 0)
+            points = [best.fit.parameters, *(other.fit.parameters for other in found)]
+            apart = len(distinct([*points, there.fit.parameters], own)) > len(points)
+            if apart and _is_beyond_valley(best, there) and there.value > best.value + math.log(1.0 - NAMED):
+                found.append(there)
+    return tuple(found)
+
+
+def _is_beyond_valley(best: Set, other: Set) -> bool:
+    """Whether another minimum is no place in the valley that the best one's covariance tells of."""
+    fit, own = best.fit, slice(best.fit.parameters.size)
+    spread = fit.fit(best.chosen)[1][own, own]
+    steps = (one - fit.parameters for one in alike(other.fit.parameters, fit.data.configured))
+    return min(float(step @ np.linalg.solve(spread, step)) for step in steps) > DISTINCT
 
 
 def _with_torque_zero(at: Set, zero: float) -> Set | None:
-    """With an offset of the torque as large as some zero, on rows clear of both; None where few change flanks."""
+    """With an offset of the torque as large as a zero, clear of both; None where few torques change flanks."""
     torque = at.fit.data.record.torque
     effect = next((one for one in searched(at.fit) if one.name == _ZERO), None)
     if effect is None or np.mean((torque > 0.0) != (torque + zero > 0.0)) < _TURNED:
@@ -178,7 +223,7 @@ def _exchanged(now: Set) -> tuple[Set | None, dict[str, dict[str, float]]]:
 
 
 def _at_minima(found: Set, others: list[Set], rng: np.random.Generator) -> list[Set]:
-    """The same causes from other minima of the parameters on, and from where a global search leads; best first."""
+    """The same causes from other minima of the parameters, and from a global search; the best first."""
     own = found.fit.data.configured
     points = [found.fit.parameters]
     sets = [found]

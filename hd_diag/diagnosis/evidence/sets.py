@@ -43,9 +43,7 @@ class Remainders:
 
     def at(self, widths: Widths) -> Chosen:
         """The same at sizes of so many times the usual one."""
-        return tuple(
-            (effect, (widths[effect.name] * size, *ends)) for effect, (size, *ends) in self.items
-        )
+        return tuple((effect, (widths[effect.name] * size, *ends)) for effect, (size, *ends) in self.items)
 
 
 def _range(values: Floats) -> tuple[float, float]:
@@ -92,7 +90,9 @@ class Set:
     def evidence(self, candidates: Iterable[tuple[str, Item]] = ()) -> Evidence:
         """Normal equations of the set and of candidates, by names; those of the set by the effect's."""
         fit = self.fit
-        own = [(effect.name, (effect, nonlinear)) for effect, nonlinear in (*self.remainders.items, *self.causes)]
+        own = [
+            (effect.name, (effect, nonlinear)) for effect, nonlinear in (*self.remainders.items, *self.causes)
+        ]
         fixed = fit.data.given
         precision, pull = fit.prior(fixed)
         columns = [fit.always_white, *(fit.white(*item) for item in fixed)]
@@ -101,7 +101,10 @@ class Set:
 
     def valued(self) -> Set:
         """With the best widths and the evidence where the fit stands."""
-        start = {effect.name: self.widths.get(effect.name, 1.0) for effect, _ in (*self.remainders.items, *self.causes)}
+        start = {
+            effect.name: self.widths.get(effect.name, 1.0)
+            for effect, _ in (*self.remainders.items, *self.causes)
+        }
         log, widths = self.evidence().tuned(start)
         return replace(self, widths=widths, value=log + self.presence)
 
@@ -172,9 +175,7 @@ def presence(fit: LinearisedFit, effect: Effect) -> float:
     return known - float(np.log(max(effect.starts(fit.signals).trials, 1)))
 
 
-def _group(
-    fit: LinearisedFit, name: str, item: Item
-) -> tuple[str, Floats, Floats, tuple[float, ...], float]:
+def _group(fit: LinearisedFit, name: str, item: Item) -> tuple[str, Floats, Floats, tuple[float, ...], float]:
     effect, _ = item
     white = fit.white(*item)
     if effect.standard:

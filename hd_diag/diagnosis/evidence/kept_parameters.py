@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hd_diag.arrays import Floats
+from hd_diag.diagnosis.evidence.sets import Set
+from hd_diag.diagnosis.evidence.solution import Solution, parameters_of
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.design import lower_bound
-from hd_diag.diagnosis.fit.fit_parameters import DATUM, GROUPS, alike, displacements, groups
+from hd_diag.diagnosis.fit.fit_parameters import GROUPS, alike, displacements, groups
 from hd_diag.diagnosis.fit.joint_refinement import covariance, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
-from hd_diag.diagnosis.fit.refit import DISTINCT, distinct
-from hd_diag.diagnosis.search.acceptance import log_likelihood
-from hd_diag.diagnosis.search.causes import Search, parameters_of
 from hd_diag.drive import Drive
 
 DISPLACEMENTS = frozenset(("eccentricity", "runout"))
@@ -34,9 +33,7 @@ _NOISE = {
 _USUAL_NOISE = 6.0  # that of parameters of which a wrong value does no harm
 _PREDICTED = 0.5  # of that fall, in blocks held out
 _AGREEING = 0.5  # of the gain, that may be lost in some blocks
-_DATUMS = np.array([12.0, 8.0, 4.0])  # to either side, with which other minima are looked for
 _BOUND_STEPS = {"eccentricity": 1, "tilt": 4}  # to where a bound is, from one unit on
-_ONE_SIGN = 0.05  # of the rows, that torque of the other sign has at most
 
 
 @dataclass(frozen=True)
@@ -47,12 +44,9 @@ class Kept:
     ----------
     bounds : dict
         By the group's name, in units of :func:`fit_parameters.units`.
-    rivals : list of ndarray, shape (p,)
-        Where the parameters would be, were these fitted too, and other minima that do as well.
     """
 
     bounds: dict[str, float]
-    rivals: list[Floats] = field(default_factory=list)
 
     @property
     def held(self) -> tuple[int, ...]:
@@ -65,21 +59,20 @@ class Kept:
         units[5] *= configured.mesh.tooth_compliance
         return {name: bound * float(units[GROUPS[name][0]]) for name, bound in self.bounds.items()}
 
-    def spread(self, whole: Search) -> tuple[Floats, Floats]:
+    def spread(self, whole: Solution, rivals: Sequence[Set]) -> tuple[Floats, Floats]:
         """Parameters of a fit with these groups held, shape (p,), and their covariance, shape (p, p).
 
-        Intervals reach as far as the bounds; those of the others as far as those of every rival that
-        describes all rows as well.
+        Intervals reach as far as the bounds; those of the others as far as those of every rival minimum.
         """
-        fit, (found, spread) = whole.fit, parameters_of(whole)
-        plain, worst = _half_widths(spread), _as_good(fit, whole.chosen)
+        fit = whole.fit
+        found, spread = parameters_of(whole)
+        plain = _half_widths(spread)
         reach = plain.copy()
-        for there in self._rivals(whole):
-            if there.deviance(whole.chosen) < worst:
-                other, own = parameters_of(replace(whole, fit=there))
-                ways = (np.abs(one - found) for one in alike(other, fit.data.configured))
-                away = min(ways, key=_squared_displacement)
-                reach = np.maximum(reach, away + _half_widths(own))
+        for rival in rivals:
+            other, own = _fitted(rival.fit, rival.chosen), covariance(rival.fit, rival.chosen)[0]
+            ways = (np.abs(one - found) for one in alike(other, fit.data.configured))
+            away = min(ways, key=_squared_displacement)
+            reach = np.maximum(reach, away + _half_widths(own[: found.size, : found.size]))
         longer = reach / np.maximum(plain, 1e-150)
         spread = spread * np.multiply.outer(longer, longer)
         for name, bound in self.bounds.items():
@@ -87,14 +80,6 @@ class Kept:
                 spread[number], spread[:, number] = 0.0, 0.0
                 spread[number, number] = (bound / TWO_SIDED) ** 2
         return found, spread
-
-    def _rivals(self, whole: Search) -> Iterator[LinearisedFit]:
-        """Fits to all rows with nothing held, and with other datums: torque of one sign hardly tells them."""
-        fit, chosen = whole.fit, whole.chosen
-        for rival in self.rivals:
-            yield settle(replace(fit.moved(rival), held=()), chosen, learn=False)
-        if "eccentricity" in self.bounds and DATUM not in self.held and _one_sided(fit):
-            yield from _minima(fit, chosen, _configured(fit))
 
 
 def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Kept]:
@@ -114,14 +99,13 @@ def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, 
         The same with these groups held.
     kept : Kept
     """
-    fit, rivals = _best_minimum(fit, chosen)
     away, spread = _away(fit, chosen)
     own = groups(fit.data.configured)
     undetermined = [name for name, numbers in own.items() if set(numbers) <= set(fit.data.held)]
     certain = {name: _certainty(away, spread, [name]) for name in own if name not in undetermined}
     doubtful = [name for name in certain if certain[name] < PLAIN]
     if not doubtful:
-        return fit, Kept(_bounds(fit, chosen, undetermined), rivals[1:])
+        return fit, Kept(_bounds(fit, chosen, undetermined))
     best, held = fit, list[str]()
     if not _displaced(fit, away, spread):
         held = [name for name in certain if name in DISPLACEMENTS]
@@ -140,7 +124,7 @@ def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, 
     bounds = _bounds(fit, chosen, [*undetermined, *held])
     if bounds.keys() >= DISPLACEMENTS:  # beside none a runout is free to be anything
         bounds["runout"] = _bound(replace(best, held=()), chosen, "runout")
-    return best, Kept(bounds, rivals if held else rivals[1:])
+    return best, Kept(bounds)
 
 
 def keeping(fit: LinearisedFit, chosen: Chosen, names: Collection[str]) -> tuple[LinearisedFit, Kept]:
@@ -151,72 +135,14 @@ def keeping(fit: LinearisedFit, chosen: Chosen, names: Collection[str]) -> tuple
     return trial, Kept(_bounds(fit, chosen, [*names]))
 
 
-def is_displaced(fit: LinearisedFit, chosen: Chosen) -> bool:
-    """Whether there is an eccentricity by itself: without one a runout explains only what it is not.
-
-    Or, where both show plainly by their product, a little of either.
-    """
-    return _displaced(fit, *_away(fit, chosen))
-
-
 def _displaced(fit: LinearisedFit, away: Floats, spread: Floats) -> bool:
     alone, together = (_certainty(away, spread, names) for names in (["eccentricity"], sorted(DISPLACEMENTS)))
     return _eccentric(fit) or alone > _NOISE["eccentricity"] or together > PLAIN
 
 
-def _best_minimum(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, list[Floats]]:
-    """Another minimum, if it is better, and the minima that do as well.
-
-    Noise makes minima beside the configured displacements. Torque of one sign hardly moves the datum, which
-    has minima of its own there.
-    """
-    away, spread = _away(fit, chosen)
-    fits = [fit]
-    if _certainty(away, spread, ["eccentricity"]) <= PLAIN:
-        fits += _minima(fit, chosen, _configured(fit))
-    if _one_sided(fit):
-        fits += _minima(fit, chosen, fit.parameters)
-    fits.sort(key=lambda one: one.deviance(chosen))
-    worst = _as_good(fits[0], chosen)
-    return fits[0], distinct([_fitted(one, chosen) for one in fits if one.deviance(chosen) < worst])
-
-
-def _as_good(fit: LinearisedFit, chosen: Chosen) -> float:
-    """Deviance up to which another fit does as well; where more than noise is left, in units of that."""
-    left = fit.deviance(chosen)
-    return left + DISTINCT * max(left / np.count_nonzero(fit.residual_white), 1.0)
-
-
 def _configured(fit: LinearisedFit) -> Floats:
     """Parameters of the configured drive, shape (p,)."""
     return fit_parameters.vector(fit.data.configured, fit.data.configured)
-
-
-def _minima(fit: LinearisedFit, chosen: Chosen, parameters: Floats) -> list[LinearisedFit]:
-    """What some parameters, shape (p,), lead to with other datums: on either side from far to near.
-
-    Where a start leads back to a known minimum, nearer ones on its side are not tried: they hardly ever lead
-    elsewhere.
-    """
-    found, points = list[LinearisedFit](), [_fitted(fit, chosen)]
-    for side in (_DATUMS, -_DATUMS, np.zeros(1)):
-        for datum in side:
-            start = parameters.copy()
-            start[DATUM] += datum
-            start = fit_parameters.admissible(start, fit.data.configured)
-            there = settle(fit.moved(start), chosen, rounds=5, learn=False)
-            minimum = _fitted(there, chosen)
-            if len(distinct([*points, minimum])) == len(distinct(points)):
-                break
-            found.append(there)
-            points.append(minimum)
-    return found
-
-
-def _one_sided(fit: LinearisedFit) -> bool:
-    """Whether the torque has hardly another sign."""
-    pulled = float(np.mean(fit.signals.torque > 0.0))
-    return min(pulled, 1.0 - pulled) < _ONE_SIGN
 
 
 def _away(fit: LinearisedFit, chosen: Chosen) -> tuple[Floats, Floats]:
@@ -266,6 +192,16 @@ def likelier(fit: LinearisedFit, held: LinearisedFit, chosen: Chosen, names: Col
     noise = max(_NOISE.get(name, _USUAL_NOISE) for name in names)
     held = settle(held.with_noise(chosen, richer=False), chosen, rounds=2, learn=False)
     return log_likelihood(fit, chosen) - log_likelihood(held, chosen) > noise
+
+
+def log_likelihood(fit: LinearisedFit, chosen: Chosen) -> float:
+    """Twice the logarithm of the likelihood of what a fit leaves, but for a constant.
+
+    With the noise of that: slow noise looks like a parameter to the noise that is learned beside it.
+    """
+    own = fit.with_noise(chosen, richer=False)
+    rows = np.count_nonzero(own.residual_white)
+    return -float(rows * np.log(own.whiten.scale**2 * own.deviance(chosen) / rows))
 
 
 def _confirmed(fall: float, gain: Floats) -> bool:
