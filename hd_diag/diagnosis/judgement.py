@@ -104,7 +104,7 @@ class Answer:
 
     @cached_property
     def action(self) -> Action:
-        """What to do: inspect what was found or is beyond a limit; watch what may be, or is not understood."""
+        """What to do: inspect what was found or is beyond a limit; watch what may be or is not known."""
         found, limits = self.diagnosis, [self.normal, self.tolerance]
         places = [one.place for one in limits if one is not None]
         asked = [cause for cause in found.causes if not is_usual(cause)]

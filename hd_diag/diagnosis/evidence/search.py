@@ -194,7 +194,7 @@ def _is_beyond_valley(best: Set, other: Set) -> bool:
 
 
 def _with_torque_zero(at: Set, zero: float) -> Set | None:
-    """With an offset of the torque as large as a zero, clear of both; None where few torques change flanks."""
+    """With an offset of the torque as large as a zero, clear of both; None where few change flanks."""
     torque = at.fit.data.record.torque
     effect = next((one for one in searched(at.fit) if one.name == _ZERO), None)
     if effect is None or np.mean((torque > 0.0) != (torque + zero > 0.0)) < _TURNED:
