@@ -218,20 +218,20 @@ def diagnose(
     found = search(_starts(begun, test), rng, first.torque_zero)
     best = found.best
     measured = solution(best, standings(found), rng)
-    work.tell(0.62, "using all data")
+    work.tell(0.62, "testing which parameters are as configured")
     kept = Kept({})
     with work.until(_KEPT, "testing which parameters may be as configured"):
         fit, kept = kept_parameters(best.fit, best.chosen)
         measured = measured.at(fit)
     measured = with_table(measured)
+    fit, chosen = measured.fit, measured.chosen
     every = replace(begun.on(usable(begun.data.source, _shift(begun, best))), held=kept.held)
-    every = every.moved(measured.fit.parameters).beside(
-        best.fit.sized(best.chosen, best.fit.fit(best.chosen)[0])
-    )
-    whole = measured.at(settle(replace(every, whiten=best.fit.whiten), measured.chosen, 2, learn=False))
-    work.tell(0.8, "measuring the gain")
+    every = every.moved(fit.parameters).beside(fit.sized(chosen, fit.fit(chosen)[0]))
+    work.tell(0.7, "measuring the gain")
     without = settle(best.fit.beside(()), best.fit.data.given)
-    rms, gain = measured_gain(record, test, which, without, measured, whole.fit, rng)
+    rms, gain = measured_gain(record, test, which, without, measured, every, rng)
+    work.tell(0.8, "using all data")
+    whole = measured.at(settle(replace(every, whiten=fit.whiten), chosen, 2, learn=False))
     # As of an average whose parts disagree: Birge, Phys. Rev. 40 (1932).
     wider = rms.misfit.value if rms.misfit.suspected else 1.0
     parameters, spread = kept.spread(whole, found.rivals)
