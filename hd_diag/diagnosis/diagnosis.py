@@ -9,14 +9,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hd_diag.arrays import Floats
 from hd_diag.diagnosis.detectability import NOT_PROVED, Detectability, testability
 from hd_diag.diagnosis.evidence.calibration import HINTED, LEAST_SIZE
 from hd_diag.diagnosis.evidence.kept_parameters import Kept, kept_parameters
 from hd_diag.diagnosis.evidence.naming import standings
 from hd_diag.diagnosis.evidence.order_table import OrderRow
 from hd_diag.diagnosis.evidence.search import search
-from hd_diag.diagnosis.evidence.sets import Set
 from hd_diag.diagnosis.evidence.solution import Cause, Function, Solution, motor_deviations, solution
 from hd_diag.diagnosis.evidence.unexplained import Unexplained, unexplained, with_table
 from hd_diag.diagnosis.extension import encoder_zeros, extended_model
@@ -215,20 +213,18 @@ def diagnose(
         first = refit(renumbered(record.select(~test)), configured, rng)
         begun = linearise(record, configured, first.parameters, rows=~test, catalogue=catalogue, work=work)
     work.tell(0.15, "looking for causes")
-    found = search(_starts(begun, test), rng, first.torque_zero)
-    best = found.best
-    measured = solution(best, standings(found), rng)
+    found = search(_starts(begun, test), begun, rng, first.torque_zero)
+    best, kept = found.best, Kept({})
     work.tell(0.62, "testing which parameters are as configured")
-    kept = Kept({})
     with work.until(_KEPT, "testing which parameters may be as configured"):
-        fit, kept = kept_parameters(best.fit, best.chosen)
-        measured = measured.at(fit)
-    measured = with_table(measured)
+        best, kept = kept_parameters(best)
+    measured = with_table(solution(best, standings(found), rng))
     fit, chosen = measured.fit, measured.chosen
-    every = replace(begun.on(usable(begun.data.source, _shift(begun, best))), held=kept.held)
-    every = every.moved(fit.parameters).beside(fit.sized(chosen, fit.fit(chosen)[0]))
+    every = fit.on(usable(fit.data.source, measured.torque_shift)).beside(
+        fit.sized(chosen, fit.fit(chosen)[0])
+    )
     work.tell(0.7, "measuring the gain")
-    without = settle(best.fit.beside(()), best.fit.data.given)
+    without = settle(fit.beside(()), fit.data.given)
     rms, gain = measured_gain(record, test, which, without, measured, every, rng)
     work.tell(0.8, "using all data")
     whole = measured.at(settle(replace(every, whiten=fit.whiten), chosen, 2, learn=False))
@@ -272,12 +268,6 @@ def _starts(begun: LinearisedFit, test: Rows) -> list[LinearisedFit]:
     fit = fit.beside(begun.present)
     as_configured = fit_parameters.vector(data.configured, data.configured)
     return [fit] if record.by_current else [fit, fit.moved(as_configured)]
-
-
-def _shift(begun: LinearisedFit, best: Set) -> Floats:
-    """What the torque may be by the causes less that of the record at all its rows, (n, k) [N m]."""
-    sized = best.fit.sized(best.chosen, best.fit.fit(best.chosen)[0])
-    return begun.moved(best.fit.parameters).effects.possible_torques(sized)
 
 
 def _described(record: Record, lines: list[Unexplained], rms: Rms, wanders: bool) -> tuple[Unexplained, ...]:

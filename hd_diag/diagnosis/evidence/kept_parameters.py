@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hd_diag.arrays import Floats
+from hd_diag.diagnosis.evidence.calibration import NAMED
 from hd_diag.diagnosis.evidence.sets import Set
 from hd_diag.diagnosis.evidence.solution import Solution, parameters_of
 from hd_diag.diagnosis.fit import fit_parameters
-from hd_diag.diagnosis.fit.design import lower_bound
 from hd_diag.diagnosis.fit.fit_parameters import GROUPS, alike, displacements, groups
-from hd_diag.diagnosis.fit.joint_refinement import covariance, settle
+from hd_diag.diagnosis.fit.joint_refinement import covariance
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.drive import Drive
 
@@ -25,14 +26,9 @@ TWO_SIDED = 1.96
 PLAIN = 1600.0
 """Square of standard deviations beyond which no test is needed."""
 
-_NOISE = {
-    "eccentricity": 20.0,
-    "runout": 20.0,
-    "tilt": 20.0,
-}  # fall of the likelihood that noise hardly brings
-_USUAL_NOISE = 6.0  # that of parameters of which a wrong value does no harm
-_PREDICTED = 0.5  # of that fall, in blocks held out
-_AGREEING = 0.5  # of the gain, that may be lost in some blocks
+ODDS = math.log(NAMED / (1.0 - NAMED))
+"""Log odds by which a parameter is another than configured."""
+
 _BOUND_STEPS = {"eccentricity": 1, "tilt": 4}  # to where a bound is, from one unit on
 
 
@@ -82,62 +78,43 @@ class Kept:
         return found, spread
 
 
-def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Kept]:
-    """Hold at their configured values the groups without which held-out data is predicted as well.
+def kept_parameters(free: Set) -> tuple[Set, Kept]:
+    """Hold at their configured values the groups without which the evidence is nearly as good.
 
     A runout shows by its product with an eccentricity alone: beside none, what it explains is something else.
 
     Parameters
     ----------
-    fit : LinearisedFit
-        Settled beside the chosen effects, all parameters free.
-    chosen : sequence of (Effect, nonlinear values)
+    free : Set
+        Settled, all parameters free.
 
     Returns
     -------
-    fit : LinearisedFit
+    best : Set
         The same with these groups held.
     kept : Kept
     """
+    fit, chosen = free.fit, free.chosen
     away, spread = _away(fit, chosen)
     own = groups(fit.data.configured)
     undetermined = [name for name, numbers in own.items() if set(numbers) <= set(fit.data.held)]
     certain = {name: _certainty(away, spread, [name]) for name in own if name not in undetermined}
-    doubtful = [name for name in certain if certain[name] < PLAIN]
-    if not doubtful:
-        return fit, Kept(_bounds(fit, chosen, undetermined))
-    best, held = fit, list[str]()
-    if not _displaced(fit, away, spread):
-        held = [name for name in certain if name in DISPLACEMENTS]
-        best = _trial(best, chosen, held)
-    doubtful = [name for name in doubtful if name not in held]
-    one_by_one = [[name] for name in sorted(doubtful, key=certain.__getitem__)]
-    for more in (doubtful, *(one_by_one if len(doubtful) > 1 else ())):
-        names = [*held, *more]
-        if set(held) >= set(doubtful) or _certainty(away, spread, names) > PLAIN:
+    doubtful = sorted((name for name in certain if certain[name] < PLAIN), key=certain.__getitem__)
+    best, held = free, list[str]()
+    for more in (doubtful, *([name] for name in doubtful)):
+        names = [*held, *(name for name in more if name not in held)]
+        if names == held or _certainty(away, spread, names) > PLAIN:
             continue
-        if (trial := _held(best, chosen, names)) is not None:
+        trial = _trial(free, names)
+        if trial.value > free.value - ODDS:
             best, held = trial, names
     if "eccentricity" in held and "runout" in certain.keys() - set(held) and not _eccentric(fit):
         held = [*held, "runout"]
-        best = _trial(best, chosen, held)
+        best = _trial(free, held)
     bounds = _bounds(fit, chosen, [*undetermined, *held])
     if bounds.keys() >= DISPLACEMENTS:  # beside none a runout is free to be anything
-        bounds["runout"] = _bound(replace(best, held=()), chosen, "runout")
+        bounds["runout"] = _bound(replace(best.fit, held=()), best.chosen, "runout")
     return best, Kept(bounds)
-
-
-def keeping(fit: LinearisedFit, chosen: Chosen, names: Collection[str]) -> tuple[LinearisedFit, Kept]:
-    """Some groups of a fit with nothing held at their configured values; see :func:`kept_parameters`."""
-    if not names:
-        return fit, Kept({})
-    trial = _trial(fit, chosen, [*names])
-    return trial, Kept(_bounds(fit, chosen, [*names]))
-
-
-def _displaced(fit: LinearisedFit, away: Floats, spread: Floats) -> bool:
-    alone, together = (_certainty(away, spread, names) for names in (["eccentricity"], sorted(DISPLACEMENTS)))
-    return _eccentric(fit) or alone > _NOISE["eccentricity"] or together > PLAIN
 
 
 def _configured(fit: LinearisedFit) -> Floats:
@@ -176,40 +153,6 @@ def _certainty(away: Floats, spread: Floats, names: list[str]) -> float:
     return float(away[numbers] @ np.linalg.solve(spread[np.ix_(numbers, numbers)], away[numbers]))
 
 
-def _held(fit: LinearisedFit, chosen: Chosen, names: list[str]) -> LinearisedFit | None:
-    """The fit with groups held at their configured values; None if held-out blocks are predicted worse."""
-    trial = _trial(fit, chosen, names)
-    if not likelier(fit, trial, chosen, names):
-        return trial
-    free = fit.with_noise(chosen, richer=False)
-    fewer, more = replace(trial, whiten=free.whiten).design(chosen), free.design(chosen)
-    fall, gain = fewer.deviance() - more.deviance(), fewer.held_out() - more.held_out()
-    return None if _confirmed(fall, gain) else trial
-
-
-def likelier(fit: LinearisedFit, held: LinearisedFit, chosen: Chosen, names: Collection[str]) -> bool:
-    """Whether a fit is likelier than one that holds more groups, these, by more than noise ever brings."""
-    noise = max(_NOISE.get(name, _USUAL_NOISE) for name in names)
-    held = settle(held.with_noise(chosen, richer=False), chosen, rounds=2, learn=False)
-    return log_likelihood(fit, chosen) - log_likelihood(held, chosen) > noise
-
-
-def log_likelihood(fit: LinearisedFit, chosen: Chosen) -> float:
-    """Twice the logarithm of the likelihood of what a fit leaves, but for a constant.
-
-    With the noise of that: slow noise looks like a parameter to the noise that is learned beside it.
-    """
-    own = fit.with_noise(chosen, richer=False)
-    rows = np.count_nonzero(own.residual_white)
-    return -float(rows * np.log(own.whiten.scale**2 * own.deviance(chosen) / rows))
-
-
-def _confirmed(fall: float, gain: Floats) -> bool:
-    """Whether held-out blocks confirm a fall of the deviance."""
-    lost, won = -float(gain[gain < 0.0].sum()), float(gain[gain > 0.0].sum())
-    return won - lost > _PREDICTED * fall and (lower_bound(gain) > 0.0 or lost < _AGREEING * won)
-
-
 def _start(fit: LinearisedFit, names: list[str]) -> tuple[Floats, list[int]]:
     """Parameters, lobes swapped if that is nearer, with groups as configured; the numbers of these."""
     numbers = [number for name in names for number in GROUPS[name]]
@@ -220,11 +163,11 @@ def _start(fit: LinearisedFit, names: list[str]) -> tuple[Floats, list[int]]:
     return start, numbers
 
 
-def _trial(fit: LinearisedFit, chosen: Chosen, names: list[str]) -> LinearisedFit:
-    """The fit with groups held."""
-    start, held = _start(fit, names)
-    there = replace(fit.moved(start), held=tuple(held)).beside(fit.present)
-    return settle(there, chosen, rounds=2, learn=False)
+def _trial(free: Set, names: list[str]) -> Set:
+    """The set with groups held."""
+    start, held = _start(free.fit, names)
+    there = replace(free.fit.moved(start), held=tuple(held)).beside(free.fit.present)
+    return replace(free, fit=there).settled(nonlinear=0)
 
 
 def _bounds(fit: LinearisedFit, chosen: Chosen, names: list[str]) -> dict[str, float]:

@@ -20,7 +20,7 @@ from hd_diag.diagnosis.fit.refit import DISTINCT, FEW_STARTS, distinct, refit
 from hd_diag.effects.effect import Effect, Stage
 from hd_diag.effects.remainders import ORDERS, PLACE
 
-_MOST, _MOST_TURNS = 5, 12  # causes; additions and exchanges
+_MOST = 5  # causes, and turns of a search
 _RIVALS = 6  # of each cause, that are settled in its place
 _TRIED = 4  # candidates that are settled in each turn
 _NEAR = 0.5  # share of the best candidate's gain from which another is tried
@@ -137,38 +137,52 @@ class Found:
     instead: dict[str, dict[str, float]] = field(default_factory=dict)
 
 
-def search(starts: list[LinearisedFit], rng: np.random.Generator, torque_zero: float = 0.0) -> Found:
+def search(
+    starts: list[LinearisedFit], every: LinearisedFit, rng: np.random.Generator, torque_zero: float = 0.0
+) -> Found:
     """The best set of causes, and what other minima of the parameters make of it.
 
-    `torque_zero` is the torque's zero by a fit from many starts [N m]: one that puts many torques on the
-    other flank is out of reach of steps from the reported torque.
+    Parameters
+    ----------
+    starts : list of LinearisedFit
+        At minima of the parameters, on some rows: there causes are looked for.
+    every : LinearisedFit
+        On all rows: there what was found is weighed, and what is small is looked for.
+    rng : numpy.random.Generator
+        Chooses the samples of other starts.
+    torque_zero : float
+        The torque's zero by a fit from many starts [N m]: one that puts many torques on the other flank is
+        out of reach of steps from the reported torque.
     """
+    work = every.work
     first = begun(starts[0].with_noise(starts[0].data.given))
     whiten = first.learned().whiten
     minima = [begun(replace(start, whiten=whiten)) for start in starts]
     if turned := _with_torque_zero(minima[0], torque_zero):
         minima = [one.on(turned) for one in minima]
         minima.append(turned)
-    best, instead = max(minima, key=lambda one: one.value), dict[str, dict[str, float]]()
-    work = best.fit.work
-    for turn in range(_MOST_TURNS):
-        found, done = None, False
-        with work.until(SEARCHED, FURTHER_CAUSES):
-            best = best.clear().relearned()
+    minima.sort(key=lambda one: -one.value)
+    with work.until(SEARCHED, FURTHER_CAUSES):
+        for turn in range(_MOST):
+            now = minima[0].clear().relearned()
             work.tell(
-                _FIRST + (SEARCHED - _FIRST) * (1.0 - _TURN**turn),
-                f"looking for cause {len(best.causes) + 1}",
+                _FIRST + (SEARCHED - _FIRST) * 0.5 * (1.0 - _TURN**turn), f"looking for cause {turn + 1}"
             )
-            found = _next(best) if len(best.causes) < _MOST else None
+            if (found := _next(now)) is None:
+                break
+            others = [one for one in minima if one.value > minima[0].value - _HOPELESS]
+            minima = _at_minima(_fewer(found), others, rng)
+    best, instead = minima[0].moved_to(every).settled(_TO_MINIMUM).relearned(), dict[str, dict[str, float]]()
+    with work.until(SEARCHED, FURTHER_CAUSES):
+        for turn in range(_MOST):
+            work.tell(_FIRST + (SEARCHED - _FIRST) * (1.0 - 0.5 * _TURN**turn), "weighing causes on all rows")
+            now = best.clear().relearned()
+            found = _next(now) if len(now.causes) < _MOST else None
+            found, instead = (_fewer(found), {}) if found is not None else _exchanged(now)
             if found is None:
-                found, instead = _exchanged(best)
-            if found is not None:
-                others = [one for one in minima if one.value > best.value - _HOPELESS]
-                minima = _at_minima(_fewer(found), others, rng)
-            done = True
-        if found is None or not done:
-            break
-        best = minima[0]
+                best = now
+                break
+            best = found
     return Found(best, _rivals(best, minima), instead)
 
 

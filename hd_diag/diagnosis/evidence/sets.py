@@ -157,6 +157,12 @@ class Set:
         fit = replace(self.fit, data=other.fit.data, whiten=other.fit.whiten)
         return replace(self, fit=fit.beside(self.fit.present)).valued()
 
+    def moved_to(self, fit: LinearisedFit) -> Set:
+        """On other rows of the record, with the noise that is known."""
+        there = replace(fit, whiten=self.fit.whiten).moved(self.fit.parameters)
+        sized = self.fit.sized(self.chosen, self.fit.fit(self.chosen)[0])
+        return replace(self, fit=there.clear_of(there.effects.possible_torques(sized)).beside(sized))
+
     def at(self, parameters: Floats) -> Set:
         """At other parameters (p,), with the same sizes; not settled."""
         return replace(self, fit=self.fit.moved(parameters).beside(self.fit.present))
