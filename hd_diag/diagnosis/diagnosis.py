@@ -115,11 +115,11 @@ class Diagnosis:
     def doubt(self, cause: Cause) -> str:
         """The first reason for which a cause is not named; empty where it is.
 
-        Where more than noise is left at the gear's lines what else is wrong may look like it, and evidence
-        counts by the square of that less.
+        Where more than noise is left what else is wrong may look like it: then evidence counts less.
         """
-        if cause.standing.doubt:
-            return cause.standing.doubt
+        times = self.misfit.value if self.misfit and self.misfit.suspected else 1.0
+        if doubt := cause.standing.beside(times).doubt:
+            return doubt
         why = next((self._nameless[name] for name in cause.alike if name in self._nameless), "")
         return why or ("" if self.predicting else _NOT_PREDICTED)
 

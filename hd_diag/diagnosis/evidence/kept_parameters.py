@@ -19,6 +19,8 @@ from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.drive import Drive
 
 DISPLACEMENTS = frozenset(("eccentricity", "runout"))
+HELD = DISPLACEMENTS | {"tilt"}
+"""Groups that may be held."""
 
 TWO_SIDED = 1.96
 """Standard deviations to either side of a value that make its 95 % interval."""
@@ -79,9 +81,11 @@ class Kept:
 
 
 def kept_parameters(free: Set) -> tuple[Set, Kept]:
-    """Hold at their configured values the groups without which the evidence is nearly as good.
+    """Hold displacements at their configured values where the evidence is nearly as good without them.
 
-    A runout shows by its product with an eccentricity alone: beside none, what it explains is something else.
+    Near none their slopes vanish, so that a free one could be anything. The datum and the compliances have
+    slopes, and stay free: remainders of the torque would take the place of what is held. A runout shows by
+    its product with an eccentricity alone: beside none, what it explains is something else.
 
     Parameters
     ----------
@@ -99,7 +103,8 @@ def kept_parameters(free: Set) -> tuple[Set, Kept]:
     own = groups(fit.data.configured)
     undetermined = [name for name, numbers in own.items() if set(numbers) <= set(fit.data.held)]
     certain = {name: _certainty(away, spread, [name]) for name in own if name not in undetermined}
-    doubtful = sorted((name for name in certain if certain[name] < PLAIN), key=certain.__getitem__)
+    doubtful = [name for name in certain if name in HELD and certain[name] < PLAIN]
+    doubtful.sort(key=certain.__getitem__)
     best, held = free, list[str]()
     for more in (doubtful, *([name] for name in doubtful)):
         names = [*held, *(name for name in more if name not in held)]

@@ -17,10 +17,11 @@ from hd_diag.diagnosis.fit.fit_parameters import alike
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.diagnosis.fit.present_effects import Item
 from hd_diag.diagnosis.fit.refit import DISTINCT, FEW_STARTS, distinct, refit
+from hd_diag.diagnosis.work import Work
 from hd_diag.effects.effect import Effect, Stage
 from hd_diag.effects.remainders import ORDERS, PLACE
 
-_MOST = 5  # causes, and turns of a search
+_MOST, _TURNS = 5, 12  # causes; turns of a search
 _RIVALS = 6  # of each cause, that are settled in its place
 _TRIED = 4  # candidates that are settled in each turn
 _NEAR = 0.5  # share of the best candidate's gain from which another is tried
@@ -118,6 +119,9 @@ def begun(fit: LinearisedFit) -> Set:
     return start.valued().settled()
 
 
+Instead = dict[str, dict[str, float]]
+
+
 @dataclass(frozen=True)
 class Found:
     """The best set of causes, and what else was weighed against it.
@@ -134,7 +138,7 @@ class Found:
 
     best: Set
     rivals: tuple[Set, ...] = ()
-    instead: dict[str, dict[str, float]] = field(default_factory=dict)
+    instead: Instead = field(default_factory=dict)
 
 
 def search(
@@ -163,27 +167,35 @@ def search(
         minima.append(turned)
     minima.sort(key=lambda one: -one.value)
     with work.until(SEARCHED, FURTHER_CAUSES):
-        for turn in range(_MOST):
-            now = minima[0].clear().relearned()
-            work.tell(
-                _FIRST + (SEARCHED - _FIRST) * 0.5 * (1.0 - _TURN**turn), f"looking for cause {turn + 1}"
-            )
-            if (found := _next(now)) is None:
+        for turn in range(_TURNS):
+            _tell(work, 0.0, turn, f"looking for cause {len(minima[0].causes) + 1}")
+            found, _ = _better(minima[0].clear().relearned())
+            if found is None:
                 break
             others = [one for one in minima if one.value > minima[0].value - _HOPELESS]
-            minima = _at_minima(_fewer(found), others, rng)
-    best, instead = minima[0].moved_to(every).settled(_TO_MINIMUM).relearned(), dict[str, dict[str, float]]()
+            minima = _at_minima(found, others, rng)
+    best, instead = minima[0].moved_to(every).settled(_TO_MINIMUM).relearned(), Instead()
     with work.until(SEARCHED, FURTHER_CAUSES):
-        for turn in range(_MOST):
-            work.tell(_FIRST + (SEARCHED - _FIRST) * (1.0 - 0.5 * _TURN**turn), "weighing causes on all rows")
+        for turn in range(_TURNS):
+            _tell(work, 0.5, turn, "weighing causes on all rows")
             now = best.clear().relearned()
-            found = _next(now) if len(now.causes) < _MOST else None
-            found, instead = (_fewer(found), {}) if found is not None else _exchanged(now)
+            found, instead = _better(now)
+            best = now if found is None else found
             if found is None:
-                best = now
                 break
-            best = found
     return Found(best, _rivals(best, minima), instead)
+
+
+def _tell(work: Work, half: float, turn: int, text: str) -> None:
+    """How far one half of a search is: each turn takes most of what is left."""
+    share = half + 0.5 * (1.0 - _TURN**turn)
+    work.tell(_FIRST + (SEARCHED - _FIRST) * share, text)
+
+
+def _better(now: Set) -> tuple[Set | None, Instead]:
+    """A set with one cause more, or another in the place of one; None where none is better."""
+    found = _next(now) if len(now.causes) < _MOST else None
+    return (_fewer(found), {}) if found is not None else _exchanged(now)
 
 
 def _rivals(best: Set, minima: list[Set]) -> tuple[Set, ...]:
@@ -219,14 +231,15 @@ def _with_torque_zero(at: Set, zero: float) -> Set | None:
     return there.clear().settled(8)
 
 
-def _exchanged(now: Set) -> tuple[Set | None, dict[str, dict[str, float]]]:
+def _exchanged(now: Set) -> tuple[Set | None, Instead]:
     """A better set with another cause in the place of one, if there is any; and what was weighed for each."""
-    instead = dict[str, dict[str, float]]()
-    for effect, _ in now.causes:
+    instead = Instead()
+    for effect, nonlinear in now.causes:
         without = now.without(effect.name).settled()
-        trials = [without]
+        trials, itself = [without], (effect.name, _choices(effect, nonlinear))
         for one in candidates(without)[:_RIVALS]:
-            if one.name != effect.name and without.value + one.gain > now.value - _CLOSE:
+            other = one.name, _choices(*one.item)
+            if other != itself and without.value + one.gain > now.value - _CLOSE:
                 there = without.beside(one.item, one.widths).settled()
                 trials += [there] if there.sensible else []
         best = max(trials, key=lambda one: one.value)
@@ -234,6 +247,12 @@ def _exchanged(now: Set) -> tuple[Set | None, dict[str, dict[str, float]]]:
             return best, {}
         instead[effect.name] = {"".join(one.names - without.names): one.value for one in trials}
     return None, instead
+
+
+def _choices(effect: Effect, nonlinear: tuple[float, ...]) -> tuple[float, ...]:
+    """The discrete ones of an effect's nonlinear values: which tooth, which form."""
+    pairs = zip(effect.nonlinear, nonlinear, strict=True)
+    return tuple(value for quantity, value in pairs if quantity.discrete)
 
 
 def _at_minima(found: Set, others: list[Set], rng: np.random.Generator) -> list[Set]:
