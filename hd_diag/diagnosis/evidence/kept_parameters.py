@@ -28,6 +28,8 @@ TWO_SIDED = 1.96
 PLAIN = 1600.0
 """Square of standard deviations beyond which no test is needed."""
 
+_NO_DOUBT = 150.0  # the same, beyond which the tempered evidence is none of noise
+
 ODDS = math.log(NAMED / (1.0 - NAMED))
 """Log odds by which a parameter is another than configured."""
 
@@ -103,12 +105,12 @@ def kept_parameters(free: Set) -> tuple[Set, Kept]:
     own = groups(fit.data.configured)
     undetermined = [name for name, numbers in own.items() if set(numbers) <= set(fit.data.held)]
     certain = {name: _certainty(away, spread, [name]) for name in own if name not in undetermined}
-    doubtful = [name for name in certain if name in HELD and certain[name] < PLAIN]
+    doubtful = [name for name in certain if name in HELD and certain[name] < _NO_DOUBT]
     doubtful.sort(key=certain.__getitem__)
     best, held = free, list[str]()
     for more in (doubtful, *([name] for name in doubtful)):
         names = [*held, *(name for name in more if name not in held)]
-        if names == held or _certainty(away, spread, names) > PLAIN:
+        if names == held or _certainty(away, spread, names) > _NO_DOUBT:
             continue
         trial = _trial(free, names)
         if trial.value > free.value - ODDS:
@@ -172,7 +174,7 @@ def _trial(free: Set, names: list[str]) -> Set:
     """The set with groups held."""
     start, held = _start(free.fit, names)
     there = replace(free.fit.moved(start), held=tuple(held)).beside(free.fit.present)
-    return replace(free, fit=there).settled(nonlinear=0)
+    return replace(free, fit=there).settled()
 
 
 def _bounds(fit: LinearisedFit, chosen: Chosen, names: list[str]) -> dict[str, float]:

@@ -30,7 +30,7 @@ class Standing:
     Attributes
     ----------
     values : dict
-        Log evidence by name: with the cause, with others in its place, with none under the empty name.
+        Log odds by name: with the cause, with others in its place, with none under the empty name.
     known : frozenset of str
         Names of causes; the others are shapes that no cause is known of.
     own, deviation : float
@@ -95,10 +95,10 @@ def standings(found: Found) -> dict[str, Standing]:
 
 def _standing(found: Found, item: Item) -> Standing:
     best, effect = found.best, item[0]
-    values = {**found.instead.get(effect.name, {}), effect.name: best.value}
+    values = {**found.instead.get(effect.name, {}), effect.name: 0.0}
     if len(values) > 1:
         for name in effect.always_confused:
-            values[name] = max(values.get(name, -math.inf), best.value)
+            values[name] = 0.0
     others = tuple(one for one in (*best.fit.data.given, *best.causes) if one[0].name != effect.name)
     known = frozenset(one.name for one in best.fit.data.searched)
     return Standing(values, known, *own_size(best.fit, best.chosen, others, item))
@@ -107,7 +107,7 @@ def _standing(found: Found, item: Item) -> Standing:
 def in_class(values: Mapping[str, float], known: Collection[str]) -> tuple[tuple[str, ...], float, float]:
     """The fewest known causes that hold nearly all the weight of those known, their share, and that of none.
 
-    `values` are log evidences by name, that of no cause under the empty one.
+    `values` are log odds by name, that of no cause under the empty one.
     """
     most = max(values.values())
     weight = {name: math.exp(value - most) for name, value in values.items()}

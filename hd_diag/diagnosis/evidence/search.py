@@ -30,6 +30,7 @@ _ZERO, _TURNED = "torque_offset", 0.01  # share of the torques that another zero
 _BY_TORQUE = ("friction", "torsion")
 _HOPELESS = 100.0  # log odds, beyond which another minimum is not followed
 _CLOSE = 10.0  # log odds, within which a set is settled before it is judged
+_PLAINLY = 25.0  # log odds on some rows, from which a cause holds on all
 _TO_MINIMUM = 5  # rounds of settling
 _FIRST, _TURN = 0.15, 0.6  # of the time, that is gone before; of what is left of the search, after each turn
 RESTARTS = 2  # causes, up to which each lets the parameters be searched for again
@@ -132,8 +133,8 @@ class Found:
     rivals : tuple of Set
         The same causes at other minima of the parameters that are nearly as good.
     instead : dict
-        Of each cause by name: log evidence of sets with another in its place, by that one's name; with none
-        in its place, by the empty name.
+        Of each cause by name: log odds of sets with another in its place, by that one's name; with none in
+        its place, by the empty name.
     """
 
     best: Set
@@ -166,24 +167,26 @@ def search(
         minima = [one.on(turned) for one in minima]
         minima.append(turned)
     minima.sort(key=lambda one: -one.value)
+    instead = Instead()
     with work.until(SEARCHED, FURTHER_CAUSES):
         for turn in range(_TURNS):
             _tell(work, 0.0, turn, f"looking for cause {len(minima[0].causes) + 1}")
-            found, _ = _better(minima[0].clear().relearned())
+            found, instead = _better(minima[0].clear().relearned(), {})
             if found is None:
                 break
             others = [one for one in minima if one.value > minima[0].value - _HOPELESS]
             minima = _at_minima(found, others, rng)
-    best, instead = minima[0].moved_to(every).settled(_TO_MINIMUM).relearned(), Instead()
+    best, known = minima[0].moved_to(every).settled(_TO_MINIMUM).relearned(), _plain(instead)
+    instead = known
     with work.until(SEARCHED, FURTHER_CAUSES):
         for turn in range(_TURNS):
             _tell(work, 0.5, turn, "weighing causes on all rows")
             now = best.clear().relearned()
-            found, instead = _better(now)
+            found, instead = _better(now, known)
             best = now if found is None else found
             if found is None:
                 break
-    return Found(best, _rivals(best, minima), instead)
+    return Found(best, _rivals(minima), instead)
 
 
 def _tell(work: Work, half: float, turn: int, text: str) -> None:
@@ -192,23 +195,27 @@ def _tell(work: Work, half: float, turn: int, text: str) -> None:
     work.tell(_FIRST + (SEARCHED - _FIRST) * share, text)
 
 
-def _better(now: Set) -> tuple[Set | None, Instead]:
-    """A set with one cause more, or another in the place of one; None where none is better."""
+def _better(now: Set, known: Instead) -> tuple[Set | None, Instead]:
+    """A set with one cause more, or another in the place of one; None where none is better.
+
+    Of some causes it may be `known` that nothing is.
+    """
     found = _next(now) if len(now.causes) < _MOST else None
-    return (_fewer(found), {}) if found is not None else _exchanged(now)
+    return (_fewer(found), known) if found is not None else _exchanged(now, known)
 
 
-def _rivals(best: Set, minima: list[Set]) -> tuple[Set, ...]:
-    """The same causes at other minima of the parameters, where these do nearly as well."""
-    own, found = best.fit.data.configured, list[Set]()
-    for one in minima[1:]:
-        if one.value > minima[0].value - _CLOSE:
-            there = best.at(one.fit.parameters).settled(_TO_MINIMUM, 0)
-            points = [best.fit.parameters, *(other.fit.parameters for other in found)]
-            apart = len(distinct([*points, there.fit.parameters], own)) > len(points)
-            if apart and _is_beyond_valley(best, there) and there.value > best.value + math.log(1.0 - NAMED):
-                found.append(there)
-    return tuple(found)
+def _plain(instead: Instead) -> Instead:
+    """Those of causes which hold so plainly on some rows that all rows need not be asked."""
+    return {name: odds for name, odds in instead.items() if max(odds.values()) < -_PLAINLY}
+
+
+def _rivals(minima: list[Set]) -> tuple[Set, ...]:
+    """Other minima of the parameters than the best that do nearly as well with the same causes."""
+    best, *others = minima
+    near = [
+        one for one in others if one.value > best.value + math.log(1.0 - NAMED) and one.names == best.names
+    ]
+    return tuple(one for one in near if _is_beyond_valley(best, one))
 
 
 def _is_beyond_valley(best: Set, other: Set) -> bool:
@@ -231,21 +238,25 @@ def _with_torque_zero(at: Set, zero: float) -> Set | None:
     return there.clear().settled(8)
 
 
-def _exchanged(now: Set) -> tuple[Set | None, Instead]:
+def _exchanged(now: Set, known: Instead) -> tuple[Set | None, Instead]:
     """A better set with another cause in the place of one, if there is any; and what was weighed for each."""
     instead = Instead()
     for effect, nonlinear in now.causes:
+        if effect.name in known:
+            instead[effect.name] = known[effect.name]
+            continue
         without = now.without(effect.name).settled()
         trials, itself = [without], (effect.name, _choices(effect, nonlinear))
         for one in candidates(without)[:_RIVALS]:
             other = one.name, _choices(*one.item)
             if other != itself and without.value + one.gain > now.value - _CLOSE:
                 there = without.beside(one.item, one.widths).settled()
+                there = there.polished() if there.value > now.value - _CLOSE else there
                 trials += [there] if there.sensible else []
         best = max(trials, key=lambda one: one.value)
         if best.value > now.value:
             return best, {}
-        instead[effect.name] = {"".join(one.names - without.names): one.value for one in trials}
+        instead[effect.name] = {"".join(one.names - without.names): one.value - now.value for one in trials}
     return None, instead
 
 
@@ -279,6 +290,8 @@ def _next(now: Set) -> Set | None:
     best = ranked[0].gain
     near = [one for one in ranked[:_TRIED] if one.gain > min(_NEAR * best, best - _CLOSE)]
     trials = [now.beside(one.item, one.widths).settled() for one in near]
+    best = max(one.value for one in trials)
+    trials = [one.polished() for one in trials if one.value > best - _CLOSE]
     trials = [one for one in trials if one.sensible]
     best_set = max(trials, key=lambda one: one.value, default=None)
     return best_set if best_set is not None and best_set.value > now.value else None

@@ -113,16 +113,19 @@ class Set:
         """Prior log odds of the causes, each at one of so many grid points."""
         return sum(presence(self.fit, effect) for effect, _ in self.causes)
 
-    def settled(self, rounds: int = 3, nonlinear: int = 2) -> Set:
-        """Moved to the best parameters, sizes and nonlinear values, widths tuned there."""
+    def settled(self, rounds: int = 3) -> Set:
+        """Moved to the best parameters and sizes, widths tuned there."""
         found = self if self.widths else self.valued()
         chosen = found.chosen
-        fit = settle(found.fit.corrected(chosen), chosen, rounds, learn=False)
-        causes = found.causes
-        if nonlinear and any(free(effect) for effect, _ in causes):
-            fit, chosen = polished(fit, chosen, nonlinear)
-            causes = chosen[len(found.given) :]
-        return replace(found, fit=fit, causes=causes).valued()
+        return replace(found, fit=settle(found.fit.corrected(chosen), chosen, rounds, learn=False)).valued()
+
+    def polished(self, rounds: int = 2) -> Set:
+        """Moved to the best nonlinear values of all causes, parameters and sizes with them."""
+        if not any(free(effect) for effect, _ in self.causes):
+            return self
+        fit, chosen = polished(self.fit, self.chosen, rounds)
+        better = replace(self, fit=fit, causes=chosen[len(self.given) :]).valued()
+        return better if better.value > self.value else self
 
     def relearned(self) -> Set:
         """With noise learned beside it, valued anew: the evidence of other noise is not comparable."""
