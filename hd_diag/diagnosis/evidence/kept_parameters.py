@@ -107,11 +107,12 @@ def kept_parameters(free: Set) -> tuple[Set, Kept]:
     certain = {name: _certainty(away, spread, [name]) for name in own if name not in undetermined}
     doubtful = [name for name in certain if name in HELD and certain[name] < _NO_DOUBT]
     doubtful.sort(key=certain.__getitem__)
-    best, held = free, list[str]()
+    best, held, tried = free, list[str](), [list[str]()]
     for more in (doubtful, *([name] for name in doubtful)):
         names = [*held, *(name for name in more if name not in held)]
-        if names == held or _certainty(away, spread, names) > _NO_DOUBT:
+        if names in tried or _certainty(away, spread, names) > _NO_DOUBT:
             continue
+        tried.append(names)
         trial = _trial(free, names)
         if trial.value > free.value - ODDS:
             best, held = trial, names

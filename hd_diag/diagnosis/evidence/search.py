@@ -290,7 +290,8 @@ def _next(now: Set) -> Set | None:
     best = ranked[0].gain
     near = [one for one in ranked[:_TRIED] if one.gain > min(_NEAR * best, best - _CLOSE)]
     trials = [now.beside(one.item, one.widths).settled() for one in near]
-    best = max(one.value for one in trials)
+    trials = [one for one in trials if one.sensible]
+    best = max((one.value for one in trials), default=0.0)
     trials = [one.polished() for one in trials if one.value > best - _CLOSE]
     trials = [one for one in trials if one.sensible]
     best_set = max(trials, key=lambda one: one.value, default=None)

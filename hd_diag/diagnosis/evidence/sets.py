@@ -64,6 +64,8 @@ class Set:
         Prior widths over the usual size, of remainders and causes by name.
     value : float
         Log evidence with the priors of presence.
+    rounds : int
+        Of settling, at most.
     """
 
     fit: LinearisedFit
@@ -71,6 +73,7 @@ class Set:
     causes: Chosen
     widths: Widths = field(default_factory=dict)
     value: float = -np.inf
+    rounds: int = 3
 
     @property
     def given(self) -> Chosen:
@@ -113,11 +116,13 @@ class Set:
         """Prior log odds of the causes, each at one of so many grid points."""
         return sum(presence(self.fit, effect) for effect, _ in self.causes)
 
-    def settled(self, rounds: int = 3) -> Set:
+    def settled(self, rounds: int = 0) -> Set:
         """Moved to the best parameters and sizes, widths tuned there."""
         found = self if self.widths else self.valued()
         chosen = found.chosen
-        return replace(found, fit=settle(found.fit.corrected(chosen), chosen, rounds, learn=False)).valued()
+        return replace(
+            found, fit=settle(found.fit.corrected(chosen), chosen, rounds or self.rounds, learn=False)
+        ).valued()
 
     def polished(self, rounds: int = 2) -> Set:
         """Moved to the best nonlinear values of all causes, parameters and sizes with them."""
@@ -164,7 +169,8 @@ class Set:
         """On other rows of the record, with the noise that is known."""
         there = replace(fit, whiten=self.fit.whiten).moved(self.fit.parameters)
         sized = self.fit.sized(self.chosen, self.fit.fit(self.chosen)[0])
-        return replace(self, fit=there.clear_of(there.effects.possible_torques(sized)).beside(sized))
+        there = there.clear_of(there.effects.possible_torques(sized)).beside(sized)
+        return replace(self, fit=there, rounds=1)
 
     def at(self, parameters: Floats) -> Set:
         """At other parameters (p,), with the same sizes; not settled."""
