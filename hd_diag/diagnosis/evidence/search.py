@@ -30,6 +30,7 @@ _ZERO, _TURNED = "torque_offset", 0.01  # share of the torques that another zero
 _BY_TORQUE = ("friction", "torsion")
 _HOPELESS = 100.0  # log odds, beyond which another minimum is not followed
 _CLOSE = 10.0  # log odds, within which a set is settled before it is judged
+_NEARLY = 5.0  # the same, within which its nonlinear values are settled as well
 _PLAINLY = 25.0  # log odds on some rows, from which a cause holds on all
 _TO_MINIMUM = 5  # rounds of settling
 _FIRST, _TURN = 0.15, 0.6  # of the time, that is gone before; of what is left of the search, after each turn
@@ -251,7 +252,7 @@ def _exchanged(now: Set, known: Instead) -> tuple[Set | None, Instead]:
             other = one.name, _choices(*one.item)
             if other != itself and without.value + one.gain > now.value - _CLOSE:
                 there = without.beside(one.item, one.widths).settled()
-                there = there.polished() if there.value > now.value - _CLOSE else there
+                there = there.polished() if there.value > now.value - _NEARLY else there
                 trials += [there] if there.sensible else []
         best = max(trials, key=lambda one: one.value)
         if best.value > now.value:
@@ -292,7 +293,7 @@ def _next(now: Set) -> Set | None:
     trials = [now.beside(one.item, one.widths).settled() for one in near]
     trials = [one for one in trials if one.sensible]
     best = max((one.value for one in trials), default=0.0)
-    trials = [one.polished() for one in trials if one.value > best - _CLOSE]
+    trials = [one.polished() for one in trials if one.value > best - _NEARLY]
     trials = [one for one in trials if one.sensible]
     best_set = max(trials, key=lambda one: one.value, default=None)
     return best_set if best_set is not None and best_set.value > now.value else None
