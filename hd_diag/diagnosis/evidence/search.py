@@ -257,7 +257,8 @@ def _exchanged(now: Set, known: Instead) -> tuple[Set | None, Instead]:
         best = max(trials, key=lambda one: one.value)
         if best.value > now.value:
             return best, {}
-        instead[effect.name] = {"".join(one.names - without.names): one.value - now.value for one in trials}
+        odds = {"".join(one.names - without.names): one.value - now.value for one in trials}
+        instead[effect.name] = odds | {"": max(odds[""], without.by_own_noise() - now.by_own_noise())}
     return None, instead
 
 

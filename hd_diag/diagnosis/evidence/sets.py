@@ -14,6 +14,7 @@ from hd_diag.diagnosis.fit.design import projection
 from hd_diag.diagnosis.fit.joint_refinement import free, polished, sensible, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.present_effects import Item
+from hd_diag.diagnosis.noise import whitening
 from hd_diag.diagnosis.record import Record
 from hd_diag.effects.effect import Effect
 from hd_diag.effects.remainders import ORDERS, PLACE, SPEED, TIME, TORQUE, Remainder
@@ -131,6 +132,13 @@ class Set:
         fit, chosen = polished(self.fit, self.chosen, rounds)
         better = replace(self, fit=fit, causes=chosen[len(self.given) :]).valued()
         return better if better.value > self.value else self
+
+    def by_own_noise(self) -> float:
+        """Log evidence with the noise of what it leaves: beside a cause slow noise looks like the cause."""
+        own = replace(self.fit, whiten=whitening(self.fit.remainder(self.chosen), self.fit.data.run))
+        rows, scale = np.count_nonzero(own.residual_white), own.whiten.scale
+        log = replace(self, fit=own).evidence().log(self.widths)
+        return log + self.presence - calibration.TEMPER * rows * float(np.log(scale))
 
     def relearned(self) -> Set:
         """With noise learned beside it, valued anew: the evidence of other noise is not comparable."""
