@@ -21,6 +21,7 @@ NOT_PROVED = "what is left looks like it, and does not prove it"
 """Why an effect is neither found nor absent."""
 
 _LARGE = 3.0  # times the usual size
+_MOST = 2.0  # times the information without what imitates it
 _IMITATED = 0.02  # least share of an effect's information that nothing else imitates
 _TOO_SMALL = "what is usual would not stand out here: record more of it, or more slowly"
 _NO_START = "none of its lines would stand apart from others here: let the wave generator turn further"
@@ -77,7 +78,8 @@ def _tested(best: Set, evidence: Evidence, effect: Effect, point: Values, lackin
     inner, whole = evidence.information(best.widths, f"?{effect.name}")
     columns = best.fit.columns(effect, point)[:, : effect.size] * effect.usual
     usual = float(np.sqrt(np.sum(np.var(columns, axis=0)) / effect.size))
-    share = float(np.trace(inner) / max(np.trace(whole), 1e-300))
+    own = {name: width for name, width in best.widths.items() if name in best.names}
+    share = float(np.trace(evidence.information(own, f"?{effect.name}")[0]) / max(np.trace(whole), 1e-300))
     width = 1.0  # of the prior, in usual sizes
     occam = 0.5 * float(np.sum(np.log1p(width**2 * np.maximum(np.linalg.eigvalsh(inner), 0.0))))
     needed = math.log(NAMED / (1.0 - NAMED)) - presence(best.fit, effect) + occam
@@ -85,9 +87,9 @@ def _tested(best: Set, evidence: Evidence, effect: Effect, point: Values, lackin
     by_odds = root / math.sqrt(max(float(np.trace(inner)) / effect.size, 1e-300))
     least = max(usual * by_odds, LEAST_SIZE / math.sqrt(max(share, 1e-12)))
     if share < _IMITATED:
+        return Detectability(effect.name, False, least, lacking or _BY_PARAMETERS)
+    if by_odds > _LARGE:
         return Detectability(effect.name, False, least, lacking or _imitated(best, evidence, effect))
-    if usual * by_odds > _LARGE * usual:
-        return Detectability(effect.name, False, least, lacking or _TOO_SMALL)
     return Detectability(effect.name, True, least, "tested")
 
 
@@ -99,7 +101,8 @@ def _imitated(best: Set, evidence: Evidence, effect: Effect) -> str:
         rest = {one: width for one, width in best.widths.items() if one != without}
         return float(np.trace(evidence.information(rest, name)[0]))
 
-    most = max(best.widths, key=left)
-    if left(most) < 2.0 * left(""):
-        return _BY_PARAMETERS
-    return f"{words(most)} imitates it: this record cannot tell them apart"
+    most = max(best.widths, key=left, default="")
+    if not most or left(most) < _MOST * left(""):
+        return _TOO_SMALL
+    what = words(most.replace("line_", "wave of order "))
+    return f"{what}, of which any joint has some, imitates it: this record cannot tell them apart"

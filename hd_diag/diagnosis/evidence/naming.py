@@ -15,8 +15,10 @@ from hd_diag.diagnosis.evidence.calibration import (
     LEAST_SIZE,
     MOST_ALIKE,
     NAMED,
+    UNPROVED,
 )
 from hd_diag.diagnosis.evidence.search import Found
+from hd_diag.diagnosis.evidence.sets import Set
 from hd_diag.diagnosis.fit.design import solve
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.present_effects import Item
@@ -99,9 +101,18 @@ def _standing(found: Found, item: Item) -> Standing:
     if len(values) > 1:
         for name in effect.always_confused:
             values[name] = 0.0
+        values |= {
+            name: 0.0 for name in values if name and values[name] > -UNPROVED and _is_unproved(best, name)
+        }
     others = tuple(one for one in (*best.fit.data.given, *best.causes) if one[0].name != effect.name)
     known = frozenset(one.name for one in best.fit.data.searched)
     return Standing(values, known, *own_size(best.fit, best.chosen, others, item))
+
+
+def _is_unproved(best: Set, name: str) -> bool:
+    """Whether the motion cannot show a cause for itself: then it may be there whatever fits better."""
+    effect = next((one for one in best.fit.data.searched if one.name == name), None)
+    return effect is not None and not best.fit.data.testable(effect)[0]
 
 
 def in_class(values: Mapping[str, float], known: Collection[str]) -> tuple[tuple[str, ...], float, float]:

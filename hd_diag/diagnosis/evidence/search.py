@@ -11,7 +11,7 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.evidence.calibration import NAMED
 from hd_diag.diagnosis.evidence.sets import Remainders, Set, presence
-from hd_diag.diagnosis.evidence.unmodelled_terms import UNMODELLED_TERMS
+from hd_diag.diagnosis.evidence.unmodelled_terms import OUTPUT_LINES, UNMODELLED_TERMS
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.fit_parameters import alike
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
@@ -25,7 +25,7 @@ _MOST, _TURNS = 5, 12  # causes; turns of a search
 _RIVALS = 6  # of each cause, that are settled in its place
 _TRIED = 4  # candidates that are settled in each turn
 _NEAR = 0.5  # share of the best candidate's gain from which another is tried
-_OF_MODEL = ("torsional_hardening", "torque_gain", "wear_backlash")  # torsion's shape, compliances, the datum
+_OF_MODEL = ("torsional_hardening",)  # the torsion's own shape
 _ZERO, _TURNED = "torque_offset", 0.01  # share of the torques that another zero must put on the other flank
 _BY_TORQUE = ("friction", "torsion")
 _HOPELESS = 100.0  # log odds, beyond which another minimum is not followed
@@ -84,8 +84,9 @@ def candidates(at: Set) -> list[Candidate]:
     fit, chosen = at.fit, at.chosen
     rest = fit.remainder(chosen)
     points: dict[str, tuple[Effect, tuple[float, ...]]] = {}
+    lines = [line.name for line in OUTPUT_LINES if line.name not in at.names][1:]  # alike: the first will do
     for effect in searched(fit):
-        if effect.name in at.names:
+        if effect.name in at.names or effect.name in lines:
             continue
         for number, nonlinear in enumerate(effect.starts(fit.signals, rest).points):
             if fit.white(effect, nonlinear).shape[1]:
@@ -187,7 +188,7 @@ def search(
             best = now if found is None else found
             if found is None:
                 break
-    return Found(best, _rivals(minima), instead)
+    return Found(best, _rivals(minima, every), instead)
 
 
 def _tell(work: Work, half: float, turn: int, text: str) -> None:
@@ -210,12 +211,14 @@ def _plain(instead: Instead) -> Instead:
     return {name: odds for name, odds in instead.items() if max(odds.values()) < -_PLAINLY}
 
 
-def _rivals(minima: list[Set]) -> tuple[Set, ...]:
-    """Other minima of the parameters than the best that do nearly as well with the same causes."""
+def _rivals(minima: list[Set], every: LinearisedFit) -> tuple[Set, ...]:
+    """Other minima of the parameters than the best that do nearly as well with the same causes on all rows.
+
+    There log odds are as many times those on some rows.
+    """
     best, *others = minima
-    near = [
-        one for one in others if one.value > best.value + math.log(1.0 - NAMED) and one.names == best.names
-    ]
+    least = best.value + math.log(1.0 - NAMED) * best.fit.data.at.size / every.data.at.size
+    near = [one for one in others if one.value > least and one.names == best.names]
     return tuple(one for one in near if _is_beyond_valley(best, one))
 
 

@@ -219,6 +219,21 @@ def _rest_middles(speed: Floats, least: float) -> list[int]:
     return found
 
 
+OUTPUT_LINES = tuple(
+    OutputLine(
+        name=f"output_line_{number}",
+        cause="belongs to the output's turn",
+        frame="output",
+        quantities=(
+            amplitude("amplitude", "rad", 1e-3, 3.0 * ARCSEC, "of the transmission error"),
+            direction("phase", "of the wave at output angle zero"),
+            Quantity("number", "-", _LOWEST, 1e3, 1.0, "periods per output turn", False, discrete=True),
+        ),
+    )
+    for number in (1, 2, 3)
+)
+"""Several of a kind, of which the first that is left is tried."""
+
 UNMODELLED_TERMS = (
     UnmodelledTerm(
         name="sided_torque",
@@ -251,16 +266,7 @@ UNMODELLED_TERMS = (
             Quantity("width", "rad", 0.01, 1.0, 0.1, "half width to 1/e", False, None, True),
         ),
     ),
-    OutputLine(
-        name="output_line",
-        cause="belongs to the output's turn",
-        frame="output",
-        quantities=(
-            amplitude("amplitude", "rad", 1e-3, 3.0 * ARCSEC, "of the transmission error"),
-            direction("phase", "of the wave at output angle zero"),
-            Quantity("number", "-", _LOWEST, 1e3, 1.0, "periods per output turn", False, discrete=True),
-        ),
-    ),
+    *OUTPUT_LINES,
     InputLine(
         name="input_line",
         cause="belongs to the input's turn",
