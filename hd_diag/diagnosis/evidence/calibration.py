@@ -52,5 +52,5 @@ MOST_ALIKE = 5
 """Causes that a class may hold and still say something: a repair has to begin with one."""
 
 UNPROVED = 10.0
-"""Log odds within which a cause that the motion cannot show is in the class of one that fits better: its shape
+"""Log odds within which a cause that the motion cannot show is in the class of one that fits better: its form
 is known no better than that."""
