@@ -122,7 +122,9 @@ DIAGNOSES = {
     "swapped": diagnosis(findings=(SWAPPED,), **ENDED),
     "tooth skipped": diagnosis(cause("hysteresis"), findings=(SKIP,)),
     "ambiguous": diagnosis(refitted=refitted(trustworthy=False)),
-    "functions": diagnosis(found=found(functions=tuple(map(function, (TORQUE, SPEED, PLACE, TIME, *ORDERS))))),
+    "functions": diagnosis(
+        found=found(functions=tuple(map(function, (TORQUE, SPEED, PLACE, TIME, *ORDERS))))
+    ),
 }
 
 
