@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hd_diag.diagnosis.evidence.order_table import order_table, part, refitted_rows
-from hd_diag.diagnosis.evidence.waves import Remainder
 from hd_diag.diagnosis.evidence.unexplained import waves
+from hd_diag.diagnosis.evidence.waves import Remainder
 
 ARCSEC = np.pi / 648000.0
 RATED = 60.0

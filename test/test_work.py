@@ -11,9 +11,9 @@ from joint_records import ARCSEC, columns
 
 from hd_diag.diagnosis import work
 from hd_diag.diagnosis.diagnosis import diagnose
+from hd_diag.diagnosis.evidence.search import FURTHER_CAUSES, search
 from hd_diag.diagnosis.judgement import Answer
 from hd_diag.diagnosis.record import RecordError
-from hd_diag.diagnosis.evidence.search import FURTHER_CAUSES, search
 from hd_diag.diagnosis.verdict import as_json, sentence
 from hd_diag.diagnosis.work import Work
 
