@@ -148,7 +148,7 @@ def test_under_torque_of_one_sign_the_datum_s_other_minimum_is_looked_for(family
     """12 um off it does as well beside a false displacement, or far worse than the true one."""
     made, found = diagnosed(family, seed)
     datum = found.parameters["circular_spline_datum"]
-    assert found.record.torque.min() > 5.0
+    assert found.record.torque.min() > -0.1
     assert abs(datum["value"] - made.base.datum) < 4.0 * datum["std"]
 
 
