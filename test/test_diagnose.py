@@ -73,7 +73,7 @@ def test_a_drift_of_every_recording_is_fitted_to_all_of_them() -> None:
 
 
 def test_intervals_are_longer_where_more_than_noise_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    record, drive, real = prepared(columns(12.0)), joint().drive, gain.measured_gain
+    record, drive, real = prepared(columns(8.0)), joint().drive, gain.measured_gain
     plain = diagnose(record, drive, np.random.default_rng(0))
 
     def worse(*given: Any) -> Any:
