@@ -1,7 +1,7 @@
 """Search for causes by evidence: which are named on small records, and what is no cause."""
 
 import dataclasses
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -9,6 +9,7 @@ from benches import CONFIGURED, EFFECTS, POINT, TRUE, Part, bench, chosen_set, o
 from joint_records import ARCSEC, NOISE, RATIO, prepared
 from numpy.testing import assert_allclose
 
+from hd_diag.diagnosis import diagnosis
 from hd_diag.diagnosis.diagnosis import _NO_CAUSES, _described
 from hd_diag.diagnosis.evidence.naming import standings
 from hd_diag.diagnosis.evidence.search import _with_torque_zero, begun, candidates, restarted, search
@@ -19,6 +20,7 @@ from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.fit_parameters import COMPLIANCE, CUP, DATUM
 from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
+from hd_diag.diagnosis.fit.refit import Refit, refit
 from hd_diag.diagnosis.gain import MISFIT, Rms, held_out, measured_gain
 from hd_diag.diagnosis.record import Record
 from hd_diag.drive import transmission_error
@@ -275,6 +277,19 @@ def test_parameters_that_imitate_a_delay_are_left_for_those_as_configured() -> N
     found = searched(late.moved(POINT + away), late.moved(fit_parameters.vector(CONFIGURED, CONFIGURED)))
     assert found.named == {"stream_delay": ("stream_delay",)}
     assert np.abs(found.whole.fit.parameters - POINT)[:4].max() < 1.0
+
+
+@pytest.mark.slow  # a whole diagnosis
+def test_parameters_are_ambiguous_only_if_they_are_beside_all_causes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the causes several sets may fit alike: minima beside them decide."""
+
+    def doubtful(*given: Any, **named: Any) -> Refit:
+        return dataclasses.replace(refit(*given, **named), trustworthy=False)
+
+    monkeypatch.setattr(diagnosis, "refit", doubtful)
+    found = diagnosis.diagnose(swinging(8.0), CONFIGURED, np.random.default_rng(0))
+    assert found.refitted is not None
+    assert found.refitted.trustworthy
 
 
 # A motor's current ---
