@@ -118,7 +118,9 @@ def begun(fit: LinearisedFit) -> Set:
     """The set without causes where a fit stands, settled."""
     drive = fit.data.configured
     slope = np.abs(fit.data.model.at(fit_parameters.vector(drive, drive)).signals.predicted_torque_slope)
-    start = Set(fit, Remainders.of(fit.data.source, float(np.median(slope))), ())
+    finite = slope[np.isfinite(slope)]  # it is without end in the gap between the flanks
+    compliance = float(np.median(finite)) if finite.size else 0.0
+    start = Set(fit, Remainders.of(fit.data.source, compliance), ())
     return start.valued().settled()
 
 
