@@ -24,6 +24,7 @@ from hd_diag.diagnosis.search.remainder import Remainder
 from hd_diag.diagnosis.search.unmodelled_terms import UnmodelledTerm
 from hd_diag.diagnosis.stamps import usual_step
 from hd_diag.drive import Drive
+from hd_diag.effects.signals import MISSING_STEPS
 
 Rows = npt.NDArray[np.bool_]
 
@@ -175,7 +176,7 @@ def _every_fourth(number: Integers, count: int) -> Rows:
 
 def renumbered(record: Record) -> Record:
     """Run numbers from zero, with a new run wherever rows are missing."""
-    change = (np.diff(record.run) != 0) | (np.diff(record.time) > 20.0 * usual_step(record.time))
+    change = (np.diff(record.run) != 0) | (np.diff(record.time) > MISSING_STEPS * usual_step(record.time))
     return replace(record, run=numbered(change))
 
 

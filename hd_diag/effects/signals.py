@@ -13,6 +13,9 @@ import numpy as np
 from hd_diag.arrays import Floats, Integers
 from hd_diag.effects.contact_weights import ContactWeights, Rows
 
+MISSING_STEPS = 20.0
+"""Usual steps of the time: rows farther apart have others missing between them. Some lost ones are no gap."""
+
 
 @dataclass(frozen=True, eq=False)
 class Signals:
