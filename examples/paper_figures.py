@@ -230,19 +230,18 @@ def _motion_claims(stations: Floats, both: Floats, where: Floats, change: Floats
 
 def teeth_at_once(drive: Drive, study: Study = PAPER) -> Engagement:
     """Fig. 6 for a drive."""
-    rows, teeth = _engaged(drive), drive.mesh.geometry.flexspline_teeth
-    tooth = np.where(rows > teeth // 2, rows - teeth, rows)
+    tooth = engaged(drive)
     towards = study.sizes * np.exp(1j * study.direction)
-    states = [_moment(drive, e, drive.rated_torque, study.section) for e in towards]
+    states = [moment(drive, e, drive.rated_torque, study.section) for e in towards]
     backlash = np.stack([_free(drive, e, study.section) for e in towards])
     load = np.stack([state.load[0].sum(axis=0) for state in states])
     claims = (
-        *_backlash_claims(tooth, backlash, teeth),
+        *_backlash_claims(tooth, backlash, drive.mesh.geometry.flexspline_teeth),
         _first_claim(drive, study.section),
         _load_claim(drive, states, load),
     )
     return Engagement(
-        study.sizes, tooth.astype(np.float64), backlash, load[:, rows], None, drive.rated_torque, claims
+        study.sizes, tooth.astype(np.float64), backlash, load[:, tooth], None, drive.rated_torque, claims
     )
 
 
@@ -360,7 +359,7 @@ def _placed(drive: Drive, eccentricity: complex, arc_offset: float) -> Drive:
     return Drive(mesh, Kinematics(-mesh.geometry.reduction), drive.rated_torque)
 
 
-def _moment(drive: Drive, eccentricity: complex, torque: float, section: int | None = None) -> MeshState:
+def moment(drive: Drive, eccentricity: complex, torque: float, section: int | None = None) -> MeshState:
     """The paper's initial moment: tooth 0 stays on the axis, so the layer's arc follows the eccentricity."""
     placed = _placed(drive, eccentricity, -eccentricity.imag)
     return _seen(mesh_state(placed, np.zeros(1), np.array([torque])), section)
@@ -373,17 +372,16 @@ def _seen(state: MeshState, section: int | None) -> MeshState:
     return replace(state, backlash=state.section_backlash[:, section], load=state.section_load[:, section])
 
 
-def _engaged(drive: Drive) -> npt.NDArray[np.int64]:
-    """Teeth near the long axis, from left to right."""
-    teeth = drive.mesh.geometry.flexspline_teeth
-    reach = int(_ENGAGED * teeth)
-    return np.arange(-reach, reach + 1) % teeth
+def engaged(drive: Drive) -> npt.NDArray[np.int64]:
+    """Teeth near the long axis, counted from it, from left to right."""
+    reach = int(_ENGAGED * drive.mesh.geometry.flexspline_teeth)
+    return np.arange(-reach, reach + 1)
 
 
 def _free(drive: Drive, eccentricity: complex, section: int | None = None) -> Floats:
     """Backlash of the teeth near the long axis at that moment: the lesser of their two flanks [m]."""
-    backlash = _moment(drive, eccentricity, 0.0, section).backlash[0]
-    return np.asarray(np.fmin(backlash[0], backlash[1])[_engaged(drive)])
+    backlash = moment(drive, eccentricity, 0.0, section).backlash[0]
+    return np.asarray(np.fmin(backlash[0], backlash[1])[engaged(drive)])
 
 
 def _signed(value: float) -> str:

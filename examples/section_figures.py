@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import paper_figures as paper
@@ -65,15 +65,14 @@ def figures(drive: Drive, study: paper.Study = paper.PAPER) -> list[paper.Drawn]
 
 def along_width(drive: Drive, study: paper.Study = paper.PAPER) -> AlongWidth:
     """All sections at the paper's moment, for the largest eccentricity of a study."""
-    asked = study._replace(sizes=study.sizes[-1:])
-    if study.torque:
-        drive = replace(drive, rated_torque=study.torque)
+    size, torque, tooth = float(study.sizes[-1]), study.torque or drive.rated_torque, paper.engaged(drive)
+    towards = size * np.exp(1j * study.direction)
+    free, loaded = (paper.moment(drive, towards, each) for each in (0.0, torque))
     geometry = drive.mesh.geometry
-    places, widths = geometry.section_places, geometry.face_width * geometry.section_weights
-    each = [paper.teeth_at_once(drive, asked._replace(section=number)) for number in range(places.size)]
-    backlash, load = (np.concatenate([getattr(one, name) for one in each]) for name in ("backlash", "load"))
-    load /= widths[:, None]
-    return AlongWidth(places, each[0].place, backlash, load, float(study.sizes[-1]), drive.rated_torque)
+    widths = geometry.face_width * geometry.section_weights
+    backlash = np.fmin(*np.moveaxis(free.section_backlash[0], 1, 0))[:, tooth]
+    load = loaded.section_load[0].sum(axis=1)[:, tooth] / widths[:, None]
+    return AlongWidth(geometry.section_places, tooth.astype(np.float64), backlash, load, size, torque)
 
 
 def _data(found: AlongWidth) -> dict[str, Floats]:
