@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -199,27 +199,36 @@ def study(question: Question, pool: ProcessPool, progress: Progress) -> Study:
 def _limits(
     question: Question, pool: ProcessPool, progress: Progress
 ) -> tuple[Interference, list[list[DisplacementLimit]]]:
-    torques = question.cup_torque
-    free = [("interference", 0.0), ("overlap", _ALL_TEETH)]
-    asked = [(torques[0], *one) for one in free]
-    asked += [(torque, name, question.limits[name]) for torque in torques for name in NAMES]
-    tasks = [(question.drive, *one, question.largest, 0.0) for one in asked]
-    found = pool.map(_first_excess, tasks, progress("limits", len(tasks)))
-    rows = [found[k : k + len(NAMES)] for k in range(len(free), len(found), len(NAMES))]
+    torque = question.cup_torque[0]
+    free = [(torque, "interference", 0.0), (torque, "overlap", _ALL_TEETH)]
+    first, rows = _excesses(question, pool, progress, "limits", 0.0, free)
     across = limit.across_long_axis(question.drive, question.largest)
-    return Interference(*across, *found[: len(free)]), rows
+    return Interference(*across, *first), rows
+
+
+def _excesses(
+    question: Question,
+    pool: ProcessPool,
+    progress: Progress,
+    part: str,
+    leaning: float,
+    free: Sequence[tuple[float, str, float]] = (),
+) -> tuple[list[DisplacementLimit], list[list[DisplacementLimit]]]:
+    """The first excess of each `free` torque, criterion and limit, then of the question's, by torque."""
+    limits = [(torque, name, question.limits[name]) for torque in question.cup_torque for name in NAMES]
+    tasks = [(question.drive, *one, question.largest, leaning) for one in (*free, *limits)]
+    found = pool.map(_first_excess, tasks, progress(part, len(tasks)))
+    edges = range(len(free), len(found), len(NAMES))
+    return found[: len(free)], [found[k : k + len(NAMES)] for k in edges]
 
 
 def _tilts(question: Question, pool: ProcessPool, progress: Progress) -> Tilts:
-    drive, torques, largest = question.drive, question.cup_torque, question.largest
-    asked = [(torque, name, question.limits[name]) for torque in torques for name in NAMES]
-    tasks = [(drive, *one, largest, 1.0) for one in asked]
-    found = pool.map(_first_excess, tasks, progress("tilt", len(tasks)))
+    drive, torque, largest = question.drive, question.cup_torque[0], question.largest
+    _, rows = _excesses(question, pool, progress, "tilt", 1.0)
     limits = {name: question.limits[name] for name in CHARTED}
-    rays = [(drive, torques[0], limits, largest, leaning) for leaning in np.linspace(-1.0, 1.0, _RAYS)]
+    rays = [(drive, torque, limits, largest, leaning) for leaning in np.linspace(-1.0, 1.0, _RAYS)]
     shown = pool.map(_frontier, rays, progress("chart", len(rays)))
     chart = {name: np.array([ray[name] for ray in shown]).T for name in CHARTED}
-    rows = [found[k : k + len(NAMES)] for k in range(0, len(found), len(NAMES))]
     return Tilts(limit.divided(drive.mesh.geometry, largest, 1.0)[1], rows, chart)
 
 
