@@ -119,10 +119,9 @@ class McapFile:
         self.declare(stream)
         if len(data) > LARGE:
             self.close_chunk()
-        chunk, number, count = self._chunk, stream.channel.id, stream.count & 0xFFFFFFFF
+        chunk = self._chunk
         entry = _ENTRY.pack(log_time, chunk.size)
-        head = MESSAGE.pack(Opcode.MESSAGE, _FIXED + len(data), number, count, log_time, publish_time)
-        chunk.append(head)
+        chunk.append(_head(stream, stream.count, len(data), log_time, publish_time))
         if isinstance(data, LongMessage):
             chunk.long = data
         elif len(data) > LARGE:
@@ -142,8 +141,7 @@ class McapFile:
         parts: list[bytes] = []
         entries: list[bytes] = []
         for sequence, (time_, data) in enumerate(zip(times, rows, strict=True), stream.count):
-            own = _FIXED + len(data), stream.channel.id, sequence & 0xFFFFFFFF, time_, time_
-            parts += (MESSAGE.pack(Opcode.MESSAGE, *own), data)
+            parts += (_head(stream, sequence, len(data), time_, time_), data)
             entries.append(_ENTRY.pack(time_, place))
             place += MESSAGE.size + len(data)
         self._chunk.append(b"".join(parts))
@@ -357,6 +355,12 @@ def _record_of(size: int) -> np.dtype[Any]:
     """`MESSAGE` and a content of some size [byte]."""
     names = ["head", "sequence", "log_time", "publish_time", "data"]
     return np.dtype({"names": names, "formats": ["V11", "<u4", "<u8", "<u8", f"V{size}"]})
+
+
+def _head(stream: Stream, number: int, size: int, log_time: int, publish_time: int) -> bytes:
+    """Of a message's record, by its number in the topic and its content's size [byte]."""
+    number &= 0xFFFFFFFF
+    return MESSAGE.pack(Opcode.MESSAGE, _FIXED + size, stream.channel.id, number, log_time, publish_time)
 
 
 def _packed(*parts: records.McapRecord) -> bytes:

@@ -174,8 +174,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         BagError
             Where the message cannot be written (disk full, closed, unknown type, time out of range).
         """
-        if self.error is not None or self._closed or (topic, type_name) not in self._streams:
-            self.add_topic(topic, type_name, qos, known)
+        stream = self._stream(topic, type_name, qos, known)
         publish = log_time if publish_time is None else publish_time
         if not (0 <= log_time <= _LAST_TIME and 0 <= publish <= _LAST_TIME):
             what = f"{topic}: time {log_time} ns, published {publish} ns, is out of range"
@@ -183,7 +182,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         try:  # a context manager would take as long as the rest
             self._split_if_due(log_time)
             plain = bytes(data) if isinstance(data, np.ndarray) else data  # a row may have gaps
-            self._file.add(self._streams[topic, type_name], log_time, publish, plain)
+            self._file.add(stream, log_time, publish, plain)
             self._file.close_old_chunk(time.monotonic(), self._flush_period)
         except (BagError, OSError) as exc:
             raise self._failure(exc) from exc
@@ -201,8 +200,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
 
         Where one of the times cannot be written none of them is.
         """
-        if self.error is not None or self._closed or (topic, type_name) not in self._streams:
-            self.add_topic(topic, type_name, qos, known)
+        stream = self._stream(topic, type_name, qos, known)
         if rows and not 0 <= min(log_times) <= max(log_times) <= _LAST_TIME:
             what = f"{topic}: times from {min(log_times)} to {max(log_times)} ns are out of range"
             raise BagError(self.path, what)
@@ -211,10 +209,16 @@ class BagWriter(AbstractContextManager["BagWriter"]):
                 self.write(topic, type_name, data, log_time)
             return
         try:
-            self._file.add_some(self._streams[topic, type_name], log_times, rows)
+            self._file.add_some(stream, log_times, rows)
             self._file.close_old_chunk(time.monotonic(), self._flush_period)
         except (BagError, OSError) as exc:
             raise self._failure(exc) from exc
+
+    def _stream(self, topic: str, type_name: str, qos: Qos | None, known: Definition | None) -> Stream:
+        """The topic's stream, declared where it is new; BagError where nothing can be written any more."""
+        if self.error is not None or self._closed or (topic, type_name) not in self._streams:
+            self.add_topic(topic, type_name, qos, known)
+        return self._streams[topic, type_name]
 
     def write_many(
         self,
