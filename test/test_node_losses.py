@@ -89,7 +89,7 @@ def test_one_of_two_publishers_is_held_up(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("ros")
 def test_all_of_a_flood_is_accounted_for_and_said(tmp_path: Path) -> None:
     """What gives way in DDS, of which it says nothing, is counted; that the node was stopped is a warning."""
-    count, stop, go_on = 12_000, 2000, 9000
+    count, stop, go_on = 14_000, 2000, 11_000
     with running(tmp_path, parameters(**QUICK)) as rig:
         publisher = rig.publisher()
         rig.acknowledged(publisher)
@@ -101,7 +101,7 @@ def test_all_of_a_flood_is_accounted_for_and_said(tmp_path: Path) -> None:
             time.sleep(max(0.0, begin + number / 5000.0 - time.monotonic()))
         values = rig.values("joint_1", lambda v: accounted(v) >= count)
         assert accounted(values) == count
-        assert int(values["messages_lost"]) >= go_on - stop - max(INPUT_DEPTH, PUBLISHER_DEPTH)
+        assert int(values["messages_lost"]) >= go_on - stop - (INPUT_DEPTH + PUBLISHER_DEPTH)  # what may wait on either side
         assert warned(rig, "messages were lost since the last report")
         assert warned(rig, "the node stood still for")
 
