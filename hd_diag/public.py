@@ -24,11 +24,12 @@ from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.screening import screened
 from hd_diag.diagnosis.verdict import as_json
 from hd_diag.drive import Drive, MeshState
-from hd_diag.gears.catalogue import Gear, named
+from hd_diag.gears.catalogue import named
+from hd_diag.gears.page import Page
 from hd_diag.records.joint_record import read_bags
 from hd_diag.records.tables import Table, read_tables
 
-_OF_PAGE = ("size", "pitch_diameter", "lost_motion", *Gear._fields[2:])
+_OF_PAGE = ("size", *Page._fields[:-1])
 
 
 def load(file: str | Path) -> dict[str, JointConfig]:

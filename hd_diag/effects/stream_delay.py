@@ -14,6 +14,7 @@ from hd_diag.effects.signals import Signals
 
 _SPEED = 20.0  # [rad/s] of the input: 50 us read a hundredth of an arcmin there at ratio 100
 _POINTS = 4  # of the polynomial between samples: the ripple turns by half a radian from one to the next
+_GAP = 20.0  # usual steps, that the samples of a polynomial span at most
 _ABOUT = 2  # samples on either side, where what comes after is known
 
 # Times [s] and output angles [rad] of the latest samples.
@@ -41,7 +42,10 @@ class StreamDelay(Effect):
             angle = signals.output_angle + signals.predicted
             points, weights = _late(signals, delay)
             begun = np.concatenate([signals.time[run] - signals.time[run][:1] for run in signals.runs()])
-            found = np.where(begun >= delay, np.sum(weights * angle[points], axis=1) - angle, found)
+            # Rows that were left out of a long record leave gaps, across which nothing is interpolated.
+            near = np.ptp(signals.time[points], axis=1) < _GAP * np.median(np.diff(signals.time))
+            late = np.sum(weights * angle[points], axis=1) - angle
+            found = np.where((begun >= delay) & near, late, found)
         return found
 
     def start(self, nonlinear: Values) -> State:
