@@ -6,8 +6,12 @@ from collections.abc import Callable
 import numpy as np
 from joint_records import NOISE, RATIO, columns, joint, prepared
 
+from hd_diag.diagnosis.evidence.naming import Standing
+from hd_diag.diagnosis.evidence.sets import Remainders, Set
+from hd_diag.diagnosis.evidence.solution import Solution, solution
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
+from hd_diag.diagnosis.fit.present_effects import Item
 from hd_diag.diagnosis.record import Record
 from hd_diag.drive import Drive, transmission_error
 from hd_diag.effects import CATALOGUE
@@ -44,3 +48,17 @@ def of(effect: Effect, **values: float) -> Part:
     """An effect's part at the size that people state."""
     coefficients, nonlinear = effect.from_physical(values)
     return lambda signals: effect.response(signals, coefficients, nonlinear)
+
+
+def chosen_set(fit: LinearisedFit, *causes: Item) -> Set:
+    """A set of causes alone where a fit stands: without remainders."""
+    return Set(fit, Remainders(()), causes)
+
+
+def solved(fit: LinearisedFit, *causes: Item) -> Solution:
+    """Causes as they are fitted, each of them certain."""
+    standings = {
+        effect.name: Standing({effect.name: 0.0, "": -20.0}, frozenset(EFFECTS), 1e-5, 0.0)
+        for effect, _ in causes
+    }
+    return solution(chosen_set(fit, *causes), standings, np.random.default_rng(0))

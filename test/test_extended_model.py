@@ -10,7 +10,8 @@ from models import EFFECTS, OFFSET, RANGES, STATEFUL, VALUES, model, motion, ter
 from numpy.testing import assert_allclose, assert_array_equal
 
 from hd_diag.drive import transmission_error
-from hd_diag.extended_model import ExtendedModel
+from hd_diag.effects.remainders import ORDERS
+from hd_diag.extended_model import ExtendedModel, Term
 from hd_diag.model.torsion_map import TorsionMap, build
 
 CHUNK_TOLERANCE = 1e-12  # [rad]
@@ -71,6 +72,22 @@ def test_every_effect_runs(name: str) -> None:
     singles = run(made, list(range(1, COUNT)), None, None)
     assert_allclose(singles, run(made, [], None, None), rtol=0.0, atol=CHUNK_TOLERANCE)
     assert np.std(singles - transmission_error(MODEL.drive, ANGLE, TORQUE)) > 1e-8
+
+
+@pytest.mark.parametrize("delay", [2e-3, -2e-3])
+def test_a_remainder_beside_a_late_output_depends_on_no_chunk(delay: float) -> None:
+    """A stream does not carry what is said of the samples themselves: its rate must know nothing of it."""
+    line = Term(ORDERS[1], tuple(np.linspace(0.3, 1.0, ORDERS[1].size)), (1e-4, -60.0, 60.0))
+    late = term("stream_delay", {"delay": delay})
+    made, alone = (ExtendedModel(MODEL.drive, terms, 0.0, RANGES) for terms in ((late, line), (late,)))
+    singles = run(made, list(range(1, COUNT)), None, None)
+    assert_allclose(singles, run(made, [], None, None), rtol=0.0, atol=CHUNK_TOLERANCE)
+    assert_allclose(singles[1:] - run(alone, [], None, None)[1:], added_by(line)[1:], rtol=0.0, atol=1e-12)
+
+
+def added_by(one: Term) -> np.ndarray:
+    beside, bare = (ExtendedModel(MODEL.drive, terms, 0.0, RANGES) for terms in ((one,), ()))
+    return whole(beside) - whole(bare)
 
 
 def test_the_future_changes_nothing() -> None:

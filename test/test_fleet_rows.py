@@ -9,13 +9,12 @@ from typing import Any
 import fleet_tasks
 import numpy as np
 import pytest
-from benches import EFFECTS, bench, of
+from benches import EFFECTS, bench, of, solved
 from numpy.testing import assert_allclose
 from test_verdict import SKIP, diagnosis
 
 from hd_diag.config.configuration import resolve
 from hd_diag.diagnosis.findings import Finding
-from hd_diag.diagnosis.search.causes import causes
 from hd_diag.fleet.rows import Row, amplitude_std, judged
 from hd_diag.fleet.run import find_bags, survey, tasks
 from hd_diag.fleet.series import Series, classes, series_of
@@ -38,7 +37,7 @@ def test_the_deviation_of_an_amplitude_is_that_of_drawn_coefficients() -> None:
     made = bench(of(ENCODER, amplitude=1e-3, direction=0.5, second_amplitude=0.0, second_direction=0.0))
     chosen = tuple((effect, tuple(made.data.grid(effect)[-1])) for effect in (ENCODER, HYSTERESIS, BEARING))
     rng = np.random.default_rng(0)
-    found = causes(made, chosen, (), rng)
+    found = solved(made, *chosen).causes
     assert {cause.covariance.shape[0] > cause.coefficients.size for cause in found} == {False, True}
     for cause in found:
         own = slice(cause.coefficients.size)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hd_diag.diagnosis.search.order_table import order_table, part, refitted_rows
-from hd_diag.diagnosis.search.remainder import Remainder
-from hd_diag.diagnosis.search.unexplained import waves
+from hd_diag.diagnosis.evidence.order_table import order_table, part, refitted_rows
+from hd_diag.diagnosis.evidence.unexplained import waves
+from hd_diag.diagnosis.evidence.waves import Remainder
 
 ARCSEC = np.pi / 648000.0
 RATED = 60.0
@@ -86,3 +86,20 @@ def test_other_rows_do_not_change_whether_a_wave_repeats(repeats: bool) -> None:
 def test_noise_has_no_rows() -> None:
     rest = remainder()
     assert order_table(rest, waves(rest), RATED) == ()
+
+
+@pytest.mark.parametrize(
+    ("order", "known", "function"), [(2.0, True, True), (2.0, False, False), (3.0, True, False)]
+)
+def test_a_line_that_the_model_has_as_a_function_is_told_and_not_added_again(
+    order: float, known: bool, function: bool
+) -> None:
+    """Waves of 1, 2 and 4 that any gear has, where they are larger than usual."""
+    rest = remainder()
+    made = added(rest, 5.0 * ARCSEC * np.cos(order * rest.input_angle - 1.0))
+    made = replace(made, lines=(order,) if known else ())
+    (row,) = order_table(made, waves(made), RATED)
+    assert (row.order, row.repeats, row.is_function, row.in_model) == (order, True, function, not function)
+    assert part((row,), made.input_angle, made.torque, RATED).any() is np.bool_(not function)
+    (again,) = refitted_rows(made, (row,), RATED)
+    assert again.is_function is function

@@ -13,6 +13,7 @@ from challenge.truth import Base, drawn
 from joint_records import columns, prepared
 from numpy.testing import assert_array_equal
 
+from hd_diag.diagnosis.evidence.solution import Solution, parameters_of
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit import refit as module
 from hd_diag.diagnosis.fit.fit_parameters import swapped
@@ -20,7 +21,6 @@ from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import linearise
 from hd_diag.diagnosis.fit.refit import FEW_STARTS, distinct, nuisance, refit, usable
 from hd_diag.diagnosis.record import Record, prepare
-from hd_diag.diagnosis.search.causes import Search, parameters_of
 
 RNG = np.random.default_rng(0)
 PARAMETERS = fit_parameters.count(CONFIGURED)
@@ -50,7 +50,7 @@ def test_parameters_are_recovered(seed: int) -> None:
     found = refit(record, CONFIGURED, RNG)
     assert found.trustworthy
     assert np.all(np.abs(away(found.parameters, truth)) < [1.0, 1.0, 2.0, 1.0, 3.0, 2.0, 0.5])
-    point, covariance = parameters_of(Search(settle(linearise(record, CONFIGURED, found.parameters), ()), ()))
+    point, covariance = parameters_of(Solution(settle(linearise(record, CONFIGURED, found.parameters), ())))
     off = away(point, truth)
     assert np.all(np.abs(off) < 4.0 * np.sqrt(np.diag(covariance)))
     assert off @ np.linalg.solve(covariance, off) < 31.0  # chi-square, 7 degrees of freedom, 6e-5

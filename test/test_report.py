@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benches import CONFIGURED, EFFECTS, TRUE, bench
+from benches import CONFIGURED, EFFECTS, TRUE, bench, solved
 from challenge import records
 from cli_runner import assert_one_line_error, config_file, hd_diag
 from joint_records import columns, prepared
@@ -28,10 +28,9 @@ from report_samples import (
 
 from hd_diag.config.configuration import dump, resolve
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
+from hd_diag.diagnosis.evidence.unexplained import Unexplained
 from hd_diag.diagnosis.judgement import Answer
 from hd_diag.diagnosis.record import Record
-from hd_diag.diagnosis.search.causes import Search, causes
-from hd_diag.diagnosis.search.unexplained import Unexplained
 from hd_diag.drive import mesh_state, transmission_error
 from hd_diag.formatting import arcsec, words
 from hd_diag.gears.catalogue import table
@@ -285,9 +284,9 @@ def test_a_bearing_that_slips_has_its_order_marked() -> None:
     """A fit carries more columns of it than the cause keeps coefficients."""
     bearing = EFFECTS["bearing_passage"]
     fitted = bench(lambda signals: 2e-5 * np.cos(2.6 * signals.wave_generator_angle))
-    (cause,) = causes(fitted, ((bearing, (2.6, 1.0)),), (), np.random.default_rng(0))
+    (cause,) = (whole := solved(fitted, (bearing, (2.6, 1.0)))).causes
     assert fitted.columns(bearing, cause.nonlinear).shape[1] > cause.coefficients.size
-    found = Diagnosis(fitted.data.record, CONFIGURED, (), None, Search(fitted, (cause,)), None, None)
+    found = Diagnosis(fitted.data.record, CONFIGURED, (), None, whole, None, None)
     (mark,) = judgement_of(report_of(found)).marks
     assert (mark.name, mark.order) == ("bearing passage", pytest.approx(2.6, abs=0.05))
 

@@ -8,10 +8,10 @@ import pytest
 from benches import Part, bench, swinging
 from joint_records import ARCSEC, columns, prepared
 
+from hd_diag.diagnosis.evidence.solution import Solution
+from hd_diag.diagnosis.evidence.unexplained import Unexplained, unexplained
+from hd_diag.diagnosis.evidence.unmodelled_terms import UNMODELLED_TERMS
 from hd_diag.diagnosis.record import Record
-from hd_diag.diagnosis.search.causes import Search
-from hd_diag.diagnosis.search.unexplained import Unexplained, unexplained
-from hd_diag.diagnosis.search.unmodelled_terms import UNMODELLED_TERMS
 from hd_diag.effects.signals import Signals
 
 ORDER = 3.37
@@ -36,7 +36,7 @@ def loaded(order: float = ORDER, size: float = 2.0 * SIZE) -> Part:
 
 
 def found(*parts: Part, record: Record | None = None) -> list[Unexplained]:
-    return unexplained(Search(bench(*parts, record=record), ()))
+    return unexplained(Solution(bench(*parts, record=record)))
 
 
 @pytest.mark.parametrize(("order", "frame"), [(ORDER, "input"), (2.1, "time")])
@@ -78,13 +78,13 @@ def test_noise_and_a_wave_smaller_than_is_of_use_are_not_reported() -> None:
 
 
 def test_an_unmodelled_term_is_described_by_its_words() -> None:
-    term = next(one for one in UNMODELLED_TERMS if one.name == "even_torque")
+    term = next(one for one in UNMODELLED_TERMS if one.name == "sided_torque")
 
     def part(signals: Signals) -> np.ndarray:
         return term.columns(signals, ()) @ np.array([20.0 * ARCSEC, 0.0])
 
     made = bench(part)
-    line = unexplained(Search(made, (), ((term, ()),)))[0]
+    line = unexplained(Solution(made, given=((term, ()),)))[0]
     assert (line.order, line.frame, line.description) == (0.0, "input", term.cause)
     expected = np.sqrt(2.0) * np.std(part(made.signals))
     assert line.amplitude == pytest.approx(expected, rel=0.1)

@@ -7,15 +7,16 @@ import pytest
 from benches import CONFIGURED
 from numpy.testing import assert_allclose, assert_array_equal
 
-from hd_diag.diagnosis.search.unmodelled_terms import OUTPUT_LINES, UNMODELLED_TERMS, UnmodelledTerm
+from hd_diag.diagnosis.evidence.unmodelled_terms import OUTPUT_LINES, UNMODELLED_TERMS, UnmodelledTerm
 from hd_diag.effects import CATALOGUE
 from hd_diag.effects.contact_table import contact_table
 from hd_diag.effects.contact_weights import ContactWeights
+from hd_diag.effects.remainders import LINES
 from hd_diag.effects.signals import Signals
 
-NAMES = ("even_torque", "sided_torque", "creep", "drift", "rests", "place", "square_speed")
+NAMES = ("sided_torque", "creep", "rests", "place", *(line.name for line in OUTPUT_LINES), "input_line")
 BY_NAME = {term.name: term for term in UNMODELLED_TERMS}
-PLACE = BY_NAME["place"]
+PLACE, INPUT_LINE = BY_NAME["place"], BY_NAME["input_line"]
 RATE = 50.0  # [Hz]
 FEW = 600
 
@@ -48,14 +49,15 @@ def columns(name: str, signals: Signals) -> np.ndarray:
 def test_names_and_which_are_predictive() -> None:
     assert tuple(term.name for term in UNMODELLED_TERMS) == NAMES
     assert not set(NAMES) & {effect.name for effect in CATALOGUE}
-    assert {term.name for term in UNMODELLED_TERMS if not term.predictive} == {"drift", "rests"}
+    assert {term.name for term in UNMODELLED_TERMS if not term.predictive} == {"rests"}
     assert all(len(term.cause) > 10 for term in UNMODELLED_TERMS)
 
 
 @pytest.mark.parametrize("term", UNMODELLED_TERMS, ids=NAMES)
 def test_columns_are_finite_and_of_order_one(term: UnmodelledTerm) -> None:
     speed = both_ways(24.0) * (np.arange(24 * 50) % 300 > 40)
-    speeds = {"sided_torque": both_ways(24.0), "rests": speed, "place": np.full(1200, 400.0)}
+    speeds = {"sided_torque": both_ways(24.0), "rests": speed}
+    speeds |= dict.fromkeys(("place", *(line.name for line in OUTPUT_LINES)), np.full(1200, 400.0))
     signals = made(speeds.get(term.name, np.abs(speed) * 3.0), wave(24.0))
     assert term.testable(signals)[0]
     start = term.starts(signals).points[0]
@@ -68,28 +70,12 @@ def test_columns_are_finite_and_of_order_one(term: UnmodelledTerm) -> None:
     assert not term.testable(nothing)[0]
 
 
-def test_even_torque_is_alike_under_either_sign() -> None:
-    torque = wave()
-    found = columns("even_torque", made(both_ways(), torque))
-    assert_allclose(found, columns("even_torque", made(both_ways(), -torque)))
-    full = np.abs(torque) / np.abs(torque).max()
-    assert_allclose(found, np.stack((full, full**2), axis=1))
-
-
 def test_sided_torque_changes_sign_with_the_direction() -> None:
     torque, speed = wave(), both_ways()
     found = columns("sided_torque", made(speed, torque))
     full = torque / np.abs(torque).max()
     expected = np.sign(speed)[:, None] * np.stack((full, np.abs(full)), axis=1)
     assert_allclose(found, expected)
-
-
-def test_square_speed() -> None:
-    speed = both_ways()
-    found = columns("square_speed", made(speed))
-    assert_allclose(found[speed > 0.0], 1.0)
-    assert_allclose(found[speed < 0.0], [[0.75**2, -(0.75**2)]] * int(np.sum(speed < 0.0)))
-    assert_array_equal(columns("square_speed", made(np.zeros(FEW))), 0.0)
 
 
 def test_creep_grows_with_the_way_in_either_direction() -> None:
@@ -109,25 +95,6 @@ def test_creep_starts_anew_with_every_stretch() -> None:
     assert_array_equal(found[[0, 200, 300], :2], 0.0)
     assert np.all(np.diff(found[:, 0])[np.diff(run) == 0] > 0.0)
     assert_array_equal(found[:, 2:], np.stack((run == 4, run == 9), axis=1))
-
-
-def test_drift_bends_at_knots_and_begins_at_nothing() -> None:
-    signals = made(both_ways())
-    found = columns("drift", signals)
-    values = np.array([0.0, 2.0, -1.0, 0.5, 3.0, 1.0, 2.0])
-    knots = np.linspace(signals.time[0], signals.time[-1], 7)
-    assert_allclose(found @ values[1:], np.interp(signals.time, knots, values), atol=1e-12)
-
-
-def test_drift_is_of_every_stretch_by_itself() -> None:
-    """Of those of five seconds and more; four at most."""
-    run = np.repeat([0, 1, 2], [300, 30, 270])
-    found = columns("drift", made(both_ways(), 20.0, run))
-    assert found.shape == (FEW, 12)
-    assert not found[run == 1].any()
-    assert not found[run != 0, :6].any()
-    assert not found[run != 2, 6:].any()
-    assert columns("drift", made(both_ways(60.0), 20.0, np.arange(3000) // 300)).shape == (3000, 24)
 
 
 def rested(*lengths: int) -> np.ndarray:
@@ -170,19 +137,13 @@ ONE_WAY, STRETCHES = np.full(FEW, 30.0), np.arange(FEW) // 40
 @pytest.mark.parametrize(
     ("name", "speed", "torque", "run", "expected"),
     [
-        # A torque of one sign has no even part: the model itself takes it for its own.
-        ("even_torque", both_ways(), np.abs(wave()), None, True),
-        ("even_torque", both_ways(), -np.abs(wave()) - 1.0, None, True),
-        ("even_torque", both_ways(), 0.0, None, True),
-        ("even_torque", both_ways(), 0.02 + np.abs(wave()), None, True),
         # One direction or one torque has no sides.
         ("sided_torque", ONE_WAY, wave(), None, True),
         ("sided_torque", both_ways(), 20.0, None, True),
         ("sided_torque", -ONE_WAY, 20.0, None, True),
-        # Very many stretches show no creep, two runs or very many no rests, short ones no drift.
+        # Very many stretches show no creep, two runs or very many no rests.
         ("creep", both_ways(), 20.0, STRETCHES, True),
         ("creep", both_ways(), 20.0, STRETCHES // 2, False),
-        ("drift", both_ways(), 20.0, np.arange(FEW) // 200, True),
         ("rests", rested(200, 300), 20.0, None, True),
         ("rests", rested(*[60] * 61), 20.0, None, True),
         ("rests", rested(*[60] * 60), 20.0, None, False),
@@ -271,4 +232,17 @@ def test_a_line_beside_the_gear_s_order_is_one() -> None:
 
 
 def test_a_joint_that_hardly_moves_shows_no_line() -> None:
-    assert not LINE.testable(made(np.full(600, 0.1)))[0]
+    for line in (LINE, INPUT_LINE):
+        assert not line.testable(made(np.full(600, 0.1)))[0]
+
+
+@pytest.mark.parametrize("number", [3.0, 7.0, 40.0])
+def test_a_line_of_the_input_is_the_strongest_that_no_gear_must_have(number: float) -> None:
+    """Beside stronger waves of 1, 2 and 4, which are remainders."""
+    signals = made(np.full(FEW, 1.3))
+    waves = [np.cos(order * signals.wave_generator_angle) for order in (number, *LINES)]
+    starts = INPUT_LINE.starts(signals, waves[0] + 5.0 * np.sum(waves[1:], axis=0))
+    assert starts.points[0] == (number,)
+    assert not {(float(order),) for order in LINES} & {*starts.points}
+    wave = INPUT_LINE.columns(signals, (number,)) @ np.array([1.0, 0.0])
+    assert_allclose(wave, np.cos(number * signals.wave_generator_angle))

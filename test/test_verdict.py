@@ -12,16 +12,18 @@ from joint_records import ARCSEC, columns, joint, prepared
 
 from hd_diag.diagnosis.detectability import NOT_PROVED, Detectability
 from hd_diag.diagnosis.diagnosis import Allowed, Diagnosis
+from hd_diag.diagnosis.evidence.naming import Standing
+from hd_diag.diagnosis.evidence.order_table import OrderRow
+from hd_diag.diagnosis.evidence.solution import Cause, Function
+from hd_diag.diagnosis.evidence.unexplained import Unexplained
 from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.refit import Refit
 from hd_diag.diagnosis.gain import Gain, Rms
 from hd_diag.diagnosis.judgement import Answer
-from hd_diag.diagnosis.search.causes import Cause
-from hd_diag.diagnosis.search.order_table import OrderRow
-from hd_diag.diagnosis.search.unexplained import Unexplained
 from hd_diag.diagnosis.verdict import as_json, sentence, summary
 from hd_diag.effects import CATALOGUE
+from hd_diag.effects.remainders import ORDERS, PLACE, SPEED, TIME, TORQUE, Remainder
 from hd_diag.extended_model import ExtendedModel, Term
 
 CONFIGURED = joint().drive
@@ -30,28 +32,44 @@ EFFECTS = {effect.name: effect for effect in CATALOGUE}
 # What other people's scripts read; after a semicolon what stands there beside it.
 KEYS = {
     "": "schema joint record nominal refit causes unexplained extended noise_floor gain testability model "
-    "verdict judgement described normal; findings hints evidence tolerance encoder_zeros motor_current "
-    "left_out",
+    "remainders misfit action verdict judgement described normal; findings hints evidence tolerance "
+    "encoder_zeros motor_current left_out",
     "record": "samples duration input_turns runs; has_torque outliers dropped refused unpaired stamps_zero "
     "second_publisher clock_set_back last_refusal problems",
     "nominal": "rms",
     "refit": "rms parameters trustworthy",
-    "causes": "name class parameters amplitude gain p_value explanation inspect",
+    "causes": "name class parameters amplitude gain probability usual p_value explanation inspect",
     "unexplained": "order frame amplitude torque_law direction_law",
     "extended": "rms; rms_named rms_offline rms_live rms_wandering",
     "noise_floor": "rms low high",
     "gain": "rms_nominal rms_refit rms_extended fraction_explained low high held_out",
     "testability": "name testable least_size reason",
+    "remainders": "of rms largest at; larger_than_usual in_model",
+    "misfit": "slow gear",
 }
 
 
-def cause(name: str, amplitude: float = 4.0 * ARCSEC, alike: tuple[str, ...] = ()) -> Cause:
+def cause(
+    name: str,
+    amplitude: float = 4.0 * ARCSEC,
+    alike: tuple[str, ...] = (),
+    none: float = -20.0,
+    own: float | None = None,
+) -> Cause:
+    """All of it its own, others a little less probable, and none in its place by so many log odds."""
     effect = EFFECTS[name]
     values = {q.name: max(q.low, min(q.high, 1.0)) for q in effect.quantities}
     coefficients, nonlinear = effect.from_physical(values)
     covariance = np.diag(np.full(effect.size, 1e-4))
-    named = (name, *alike)
-    return Cause(effect, nonlinear, coefficients, covariance, amplitude, 1e-9, named, 0.4, 0.3, 0.5)
+    odds = {one: -0.1 * place for place, one in enumerate((name, *alike))} | {"": none}
+    standing = Standing(odds, frozenset(EFFECTS), amplitude if own is None else own, 0.01 * ARCSEC)
+    return Cause(effect, nonlinear, coefficients, covariance, amplitude, standing, 0.4, 0.3, 0.5)
+
+
+def function(effect: Remainder, largest: float = 9.0 * ARCSEC, larger: bool = True) -> Function:
+    """Greatest at 20 of its units."""
+    coefficients = np.zeros(effect.size)
+    return Function(effect, (1e-6, 0.0, 1.0), coefficients, largest / 3.0, largest, 20.0, larger, True)
 
 
 def refitted(trustworthy: bool = True, eccentricity: complex = 18.2 * np.exp(1.29j)) -> Refit:
@@ -72,6 +90,10 @@ TESTS = (
 RECORD = prepared(columns(seconds=4.0))
 
 
+def found(*causes: Cause, table: tuple[OrderRow, ...] = (), functions: tuple[Function, ...] = ()) -> Any:
+    return SimpleNamespace(causes=causes, table=table, functions=functions)
+
+
 def diagnosis(*causes: Cause, **changes: Any) -> Diagnosis:
     rms = Rms(*(ARCSEC * v for v in (20.0, 5.0, 3.3, 3.3, 3.2, 3.4, 3.2, 3.1, 3.3)))
     made: dict[str, Any] = {
@@ -79,7 +101,7 @@ def diagnosis(*causes: Cause, **changes: Any) -> Diagnosis:
         "configured": CONFIGURED,
         "findings": (),
         "refitted": refitted(),
-        "found": SimpleNamespace(causes=causes, table=(), family=1),
+        "found": found(*causes),
         "rms": rms,
         "gain": Gain(0.97, 0.96, 0.98, "3 of 12 runs"),
         "testable": TESTS,
@@ -100,6 +122,9 @@ DIAGNOSES = {
     "swapped": diagnosis(findings=(SWAPPED,), **ENDED),
     "tooth skipped": diagnosis(cause("hysteresis"), findings=(SKIP,)),
     "ambiguous": diagnosis(refitted=refitted(trustworthy=False)),
+    "functions": diagnosis(
+        found=found(functions=tuple(map(function, (TORQUE, SPEED, PLACE, TIME, *ORDERS))))
+    ),
 }
 
 
@@ -111,9 +136,9 @@ def keys(part: str) -> set[str]:
 def test_json_is_the_contract_s_and_lines_are_without_nan(made: Diagnosis) -> None:
     told = as_json(made, "joint_1", "model.json")
     assert set(told) == keys("")
-    for part in ("record", "nominal", "refit", "extended", "noise_floor", "gain"):
+    for part in ("record", "nominal", "refit", "extended", "noise_floor", "gain", "misfit"):
         assert set(told[part]) == keys(part), part
-    for part in ("causes", "unexplained", "testability"):
+    for part in ("causes", "unexplained", "testability", "remainders"):
         assert all(set(item) == keys(part) for item in told[part]), part
     for item in told["causes"]:
         assert set(item["gain"]) == {"value", "low", "high"}
@@ -194,7 +219,7 @@ ALIKE = cause("output_runout", 2.5 * ARCSEC, ("output_encoder_eccentricity",))
             "unexplained: 3.37 per input turn under positive torque, 2.00 arcsec.",
         ),
         (  # what the table of orders describes is not told twice
-            diagnosis(found=SimpleNamespace(causes=(), table=(ROW,)), unexplained=(LINE, TIME_LINE)),
+            diagnosis(found=found(table=(ROW,)), unexplained=(LINE, TIME_LINE)),
             "unexplained: 7.30 Hz, 2.00 arcsec; described, not explained: "
             "3.372 per input turn (2.00 arcsec).",
         ),
@@ -332,16 +357,29 @@ def test_what_lacks_for_the_same_reason_is_one_line() -> None:
     ]
 
 
+NEVER = {"torsional_hardening", "torque_gain", "wear_backlash"}
+
+
 def test_what_is_not_named_is_not_absent() -> None:
     """Hints, those that no record like this tells from a cause, and what a misfit or doubts may hide."""
-    named = diagnosis(cause("output_runout", alike=("output_encoder_eccentricity",)))
-    assert named.undecided == {"output_encoder_eccentricity": "this record cannot tell it from output runout"}
-    doubtful = dataclasses.replace(cause("hysteresis", alike=("coulomb_windup",)), doubtful=True)
-    assert diagnosis(doubtful).undecided == {"hysteresis": NOT_PROVED, "coulomb_windup": NOT_PROVED}
+    assert diagnosis().undecided.keys() == NEVER
+    named = diagnosis(cause("output_runout", alike=("output_encoder_eccentricity",))).undecided
+    assert named.keys() == NEVER | {"output_encoder_eccentricity"}
+    assert named["output_encoder_eccentricity"] == "this record cannot tell it from output runout"
+    doubtful = diagnosis(cause("hysteresis", alike=("coulomb_windup",), none=-3.0)).undecided
+    assert doubtful.keys() == NEVER | {"hysteresis", "coulomb_windup"}
+    assert doubtful["hysteresis"] == doubtful["coulomb_windup"] == NOT_PROVED
     worse = Rms(*(ARCSEC * v for v in (40.0, 25.0, 20.0, 20.0, 20.0, 20.0, 3.2, 3.1, 3.3)))
     for made in (diagnosis(rms=worse), diagnosis(refitted=refitted(trustworthy=False))):
         assert made.undecided.keys() == EFFECTS.keys()
         assert len(set(made.undecided.values())) == 1
+
+
+@pytest.mark.parametrize("name", sorted(NEVER))
+def test_what_parameters_and_remainders_describe_is_no_cause(name: str) -> None:
+    made = diagnosis(cause(name))
+    assert (made.causes, [one.effect.name for one in made.hints]) == ((), [name])
+    assert made.doubt(made.hints[0]) == made.undecided[name]
 
 
 def test_by_a_motor_s_current_what_the_motor_imitates_is_not_absent() -> None:
@@ -349,4 +387,51 @@ def test_by_a_motor_s_current_what_the_motor_imitates_is_not_absent() -> None:
     undecided = diagnosis(record=record).undecided
     assert {"coulomb_windup", "torsional_hardening", "torque_sensor_ripple"} <= undecided.keys()
     assert not {"output_runout", "input_encoder_eccentricity"} & undecided.keys()
-    assert diagnosis().undecided == {}
+    assert diagnosis().undecided.keys() == NEVER
+
+
+# What is slow and unexplained ---
+
+
+@pytest.mark.parametrize(
+    ("effect", "said"),
+    [
+        (TORQUE, "the torsion's shape (9.00 arcsec at 20 N m)"),
+        (SPEED, "a part that follows the speed (9.00 arcsec at 20 rad/s)"),
+        (PLACE, "a part that follows the output's place (9.00 arcsec at 1.15e+03 °)"),
+        (TIME, "a slow drift (9.00 arcsec at 20 s)"),
+        (ORDERS[1], "a wave of 2 per input turn that changes with the torque (3.00 arcsec rms)"),
+    ],
+)
+def test_what_is_larger_than_usual_is_said(effect: Remainder, said: str) -> None:
+    larger, usual, tiny = (
+        diagnosis(found=found(functions=(one,)))
+        for one in (function(effect), function(effect, larger=False), function(effect, 0.7 * ARCSEC))
+    )
+    assert sentence(Answer(larger)).endswith(f"; larger than usual, by no known cause: {said}.")
+    assert Answer(larger).judgement == "described"
+    for made in (usual, tiny):
+        assert "larger than usual" not in sentence(Answer(made))
+        assert Answer(made).judgement == "parameters"
+
+
+def test_remainders_are_told_with_their_numbers_and_lines_stand_elsewhere() -> None:
+    told = as_json(DIAGNOSES["functions"], "joint_1")["remainders"]
+    assert [one.pop("of") for one in told] == ["torque", "speed", "place", "time"]
+    numbers = {"rms": pytest.approx(3.0 * ARCSEC), "largest": pytest.approx(9.0 * ARCSEC), "at": 20.0}
+    assert told == [numbers | {"larger_than_usual": True, "in_model": True}] * 4
+
+
+def test_a_probability_and_its_rest_are_told() -> None:
+    """Of two causes alike and none in their place."""
+    (told,) = as_json(diagnosis(cause("hysteresis", alike=("coulomb_windup",), none=-6.0)), "j")["causes"]
+    causes, none = 1.0 + np.exp(-0.1), np.exp(-6.0)
+    assert told["class"] == ["hysteresis", "coulomb_windup"]
+    assert told["probability"] == pytest.approx(causes / (causes + none))
+    assert told["p_value"] == pytest.approx(none / (causes + none))
+
+
+@pytest.mark.parametrize(("slow", "gear"), [(4.0, 1.1), (1.0, 1.0)])
+def test_a_misfit_is_told_by_bands(slow: float, gear: float) -> None:
+    rms = dataclasses.replace(diagnosis().rms, slow=slow, gear=gear)
+    assert as_json(diagnosis(rms=rms), "j")["misfit"] == {"slow": slow, "gear": gear}

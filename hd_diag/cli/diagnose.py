@@ -85,10 +85,11 @@ def model_document(found: Diagnosis, joint: str, records: Records) -> dict[str, 
     ]
     motor = [term.effect.name for term in found.model.effects if term.effect.given]
     effects += [(found.motor_std, (name,)) for name in motor]
+    effects += [({}, (one.effect.name,)) for one in found.functions if one.is_described]
     effects += [
         (ORDER_LINE.standard_deviations(row.coefficients, row.nonlinear, row.covariance), (ORDER_LINE.name,))
         for row in found.order_table
-        if row.repeats
+        if row.in_model
     ]
     content = as_json(found, joint)
     evidence = {key: content[key] for key in ("record", "gain", "noise_floor", "extended", "unexplained")}

@@ -28,6 +28,7 @@ from hd_diag.config.parameters import (
 )
 from hd_diag.effects import Catalogue
 from hd_diag.effects.order_line import ORDER_LINE
+from hd_diag.effects.remainders import REMAINDERS
 from hd_diag.effects.scaling import of_drive
 from hd_diag.extended_model import ExtendedModel, Range, Ranges, Term
 from hd_diag.whole_file import whole_file
@@ -133,7 +134,7 @@ def _parsed(text: str, catalogue: Catalogue) -> ModelFile:
         drive = drive_from(parameters)
     except ValueError as error:
         raise ConfigError(f"parameters: {error}") from error
-    known = of_drive((*catalogue, ORDER_LINE), drive)
+    known = of_drive((*catalogue, ORDER_LINE, *REMAINDERS), drive)
     terms = [_term(item, f"effects[{i}]", known) for i, item in enumerate(content["effects"])]
     once = [term.effect.name for term in terms if term.effect.name != ORDER_LINE.name]
     if len(set(once)) != len(once):

@@ -4,38 +4,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import dataclass
 
 import numpy as np
-from scipy import optimize, stats
 
-from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
-from hd_diag.diagnosis.gain import Rms
-from hd_diag.diagnosis.search.acceptance import (
-    FAMILY_ERROR,
-    LEAST_SIZE,
-    OVERSTATED,
-    by_chance,
-    least_size,
-    own_part,
-    size,
-)
-from hd_diag.diagnosis.search.causes import Search
-from hd_diag.diagnosis.search.ranking import Candidate, competes, family_size, ranked
-from hd_diag.effects.effect import Effect
+from hd_diag.diagnosis.evidence.calibration import CERTAIN_SIZE, LEAST_SIZE, NAMED
+from hd_diag.diagnosis.evidence.evidence import Evidence
+from hd_diag.diagnosis.evidence.search import competes, is_searched
+from hd_diag.diagnosis.evidence.sets import Set, presence
+from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
+from hd_diag.effects.effect import Effect, Values
 from hd_diag.effects.excitation import torque_known
+from hd_diag.formatting import words
 
 NOT_PROVED = "what is left looks like it, and does not prove it"
 """Why an effect is neither found nor absent."""
 
-_POWER = 0.99
-_LEARNED = 0.6  # of what an effect gains, that a likelihood gains: noise learned without it follows it
-_OWN = 1e-3  # least share of an effect that the model's own parameters cannot imitate
 _LARGE = 3.0  # times the usual size
+_MOST = 2.0  # times the information without what imitates it
+_IMITATED = 0.02  # least share of an effect's information that nothing else imitates
 _TOO_SMALL = "what is usual would not stand out here: record more of it, or more slowly"
 _NO_START = "none of its lines would stand apart from others here: let the wave generator turn further"
-_IMITATED = "the model's own parameters imitate it: this record cannot tell them apart"
+_BY_PARAMETERS = "the model's own parameters imitate it: this record cannot tell them apart"
 
 
 @dataclass(frozen=True)
@@ -48,73 +38,71 @@ class Detectability:
     reason: str
 
 
-def testability(found: Search, rms: Rms, undecided: Mapping[str, str]) -> tuple[Detectability, ...]:
-    """Detectability of every effect of the catalogue on a record, beside the causes found in the fitted rows.
+def testability(best: Set, undecided: Mapping[str, str]) -> tuple[Detectability, ...]:
+    """Detectability of every effect of the catalogue on a record, beside the best set of causes.
 
-    `undecided` are those that would not be named, or not be absent, whatever this record shows, and why; what
-    may be left beyond the noise is in `rms`. Parameters that stay as configured are free here, as they are
-    while causes are looked for.
+    `undecided` are those that would not be named, or not be absent, whatever this record shows, and why.
     """
-    fit, chosen = replace(found.fit, held=()), found.chosen
-    named = {effect.name for effect, _ in chosen}
-    family = max(family_size(fit), 1)
-    rivals = [effect for effect in fit.data.searched if effect.name not in undecided]
-    best = {one.effect.name: one for one in ranked(fit, chosen, rivals)}
+    fit = best.fit
+    points = {e.name: (e, point) for e in fit.data.searched if (point := _point(fit, best, e)) is not None}
+    evidence = best.evidence((f"?{name}", item) for name, item in points.items())
     tests = []
     for effect in fit.data.searched:
-        lacking = _lacking(fit, effect)
-        if effect.name in undecided or not competes(fit, effect):
+        lacking = fit.data.testable(effect)[1]
+        if effect.name in undecided:
             tests.append(Detectability(effect.name, False, math.nan, lacking or undecided[effect.name]))
-        elif effect.name in named:
+        elif not competes(fit, effect):
+            tests.append(Detectability(effect.name, False, math.nan, lacking or torque_known(fit.signals)[1]))
+        elif effect.name in best.names:
             tests.append(Detectability(effect.name, True, LEAST_SIZE, "found"))
+        elif effect.name not in points or not is_searched(fit, effect):
+            tests.append(Detectability(effect.name, False, math.nan, lacking or _NO_START))
         else:
-            tests.append(_tested(fit, chosen, effect, best.get(effect.name), rms, family, lacking))
+            tests.append(_tested(best, evidence, *points[effect.name], lacking))
     return tuple(tests)
 
 
-def _lacking(fit: LinearisedFit, effect: Effect) -> str:
-    """What the motion lacks to show an effect; where it lacks nothing, that the torque is not known."""
-    lacking = fit.data.testable(effect)[1]
-    return lacking or ("" if competes(fit, effect) else torque_known(fit.signals)[1])
+def _point(fit: LinearisedFit, best: Set, effect: Effect) -> Values | None:
+    """In the middle of a grid, where it has columns."""
+    points = effect.starts(fit.signals, fit.remainder(best.chosen)).points if competes(fit, effect) else []
+    point = points[len(points) // 2] if points else None
+    return point if point is not None and fit.white(effect, point).shape[1] else None
 
 
-def _tested(
-    fit: LinearisedFit,
-    chosen: Chosen,
-    effect: Effect,
-    best: Candidate | None,
-    rms: Rms,
-    family: int,
-    lacking: str,
-) -> Detectability:
-    """By what the record determines with everything else free; the motion says what it lacks, in words."""
-    if not best and not effect.starts(fit.signals, fit.remainder(chosen)).points:
-        return Detectability(effect.name, False, math.nan, lacking or _NO_START)
-    nonlinear = best.nonlinear if best else fit.data.grid(effect)[len(fit.data.grid(effect)) // 2]
-    columns = fit.columns(effect, nonlinear)
-    own = own_part(fit, chosen, columns)
-    every, alone = (float(np.sum(np.var(one, axis=0))) for one in (columns, own))
-    information = float(np.sum(fit.whiten(own, fit.data.run) ** 2))
-    share = math.sqrt(alone / max(every, 1e-300))
-    noise = math.sqrt(every / max(information, 1e-300))  # of a size [rad rms]
-    least = least_size(fit, effect, nonlinear)
-    beyond = 0.0
-    if rms.misfit.suspected:
-        beyond, noise = rms.beyond_noise, noise * rms.misfit.value
-    by_size = max(least, beyond) / max(share, 1e-150) + stats.norm.ppf(_POWER) * noise
-    wanted = max(by_size, noise * math.sqrt(_noncentrality(columns.shape[1], family)))
-    if share**2 < _OWN:
-        return Detectability(effect.name, False, wanted, lacking or _IMITATED)
-    if best and by_chance(best, family) <= FAMILY_ERROR and size(fit, chosen, effect, nonlinear) >= least:
-        return Detectability(effect.name, False, wanted, lacking or NOT_PROVED)
-    usual = np.std(columns[:, : effect.size], axis=0) * effect.usual
-    if wanted > _LARGE * np.max(usual, initial=0.0):
-        return Detectability(effect.name, False, wanted, lacking or _TOO_SMALL)
-    return Detectability(effect.name, True, wanted, "tested")
+def _tested(best: Set, evidence: Evidence, effect: Effect, point: Values, lacking: str) -> Detectability:
+    """By the expected log odds of the effect with everything else free, all its columns alike.
+
+    They grow with the square of the size times the information that nothing else imitates, and have to reach
+    what a name asks for, and their own scatter.
+    """
+    inner, whole = evidence.information(best.widths, f"?{effect.name}")
+    columns = best.fit.columns(effect, point)[:, : effect.size] * effect.usual
+    usual = float(np.sqrt(np.sum(np.var(columns, axis=0)) / effect.size))
+    own = {name: width for name, width in best.widths.items() if name in best.names}
+    share = float(np.trace(evidence.information(own, f"?{effect.name}")[0]) / max(np.trace(whole), 1e-300))
+    width = 1.0  # of the prior, in usual sizes
+    occam = 0.5 * float(np.sum(np.log1p(width**2 * np.maximum(np.linalg.eigvalsh(inner), 0.0))))
+    needed = math.log(NAMED / (1.0 - NAMED)) - presence(best.fit, effect) + occam
+    root = math.sqrt(2.0 * needed) + CERTAIN_SIZE  # standard deviations: of the odds, and to be there in 99 %
+    by_odds = root / math.sqrt(max(float(np.trace(inner)) / effect.size, 1e-300))
+    least = max(usual * by_odds, LEAST_SIZE / math.sqrt(max(share, 1e-12)))
+    if share < _IMITATED:
+        return Detectability(effect.name, False, least, lacking or _BY_PARAMETERS)
+    if by_odds > _LARGE:
+        return Detectability(effect.name, False, least, lacking or _imitated(best, evidence, effect))
+    return Detectability(effect.name, True, least, "tested")
 
 
-@lru_cache(maxsize=64)
-def _noncentrality(width: int, family: int) -> float:
-    """Noncentrality at which the likelihood's gain is what a name asks for with the power wanted."""
-    threshold = OVERSTATED / _LEARNED * stats.chi2.isf(FAMILY_ERROR / family, width)
-    return float(optimize.brentq(lambda x: stats.ncx2.sf(threshold, width, x) - _POWER, 1.0, 5000.0))
+def _imitated(best: Set, evidence: Evidence, effect: Effect) -> str:
+    """Which of the set's columns imitate an effect most: without these most of it is left."""
+    name = f"?{effect.name}"
+
+    def left(without: str) -> float:
+        rest = {one: width for one, width in best.widths.items() if one != without}
+        return float(np.trace(evidence.information(rest, name)[0]))
+
+    most = max(best.widths, key=left, default="")
+    if not most or left(most) < _MOST * left(""):
+        return _TOO_SMALL
+    what = words(most.replace("line_", "wave of order "))
+    return f"{what}, of which any joint has some, imitates it: this record cannot tell them apart"

@@ -4,31 +4,31 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from itertools import compress, filterfalse
+from itertools import compress
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from hd_diag.diagnosis.detectability import NOT_PROVED, Detectability, testability
+from hd_diag.diagnosis.evidence.calibration import HINTED, LEAST_SIZE
+from hd_diag.diagnosis.evidence.kept_parameters import Kept, kept_parameters
+from hd_diag.diagnosis.evidence.naming import standings
+from hd_diag.diagnosis.evidence.order_table import OrderRow
+from hd_diag.diagnosis.evidence.search import search
+from hd_diag.diagnosis.evidence.solution import Cause, Function, Solution, motor_deviations, solution
+from hd_diag.diagnosis.evidence.unexplained import Unexplained, unexplained, with_table
 from hd_diag.diagnosis.extension import encoder_zeros, extended_model
 from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.joint_refinement import settle
-from hd_diag.diagnosis.fit.linearised_fit import linearise
+from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.fit.motor_torque import less_motor
 from hd_diag.diagnosis.fit.refit import Refit, refit, usable
-from hd_diag.diagnosis.gain import MISFIT, Gain, Misfit, Rms, held_out, renumbered
+from hd_diag.diagnosis.gain import MISFIT, Gain, Misfit, Rms, Rows, held_out, measured_gain, renumbered
 from hd_diag.diagnosis.noise import ORDER
-from hd_diag.diagnosis.predictive import most_predictive
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.screening import Screened, screened, without_misleading_torque
-from hd_diag.diagnosis.search.acceptance import FAMILY_ERROR, chance_in_misfit
-from hd_diag.diagnosis.search.causes import Cause, Search, doubted, motor_deviations, refitted
-from hd_diag.diagnosis.search.minima import is_only_minimum
-from hd_diag.diagnosis.search.order_table import OrderRow
-from hd_diag.diagnosis.search.selection import search
-from hd_diag.diagnosis.search.unexplained import Unexplained, unexplained
-from hd_diag.diagnosis.search.unmodelled_terms import UnmodelledTerm
+from hd_diag.diagnosis.subsampling import some_rows
 from hd_diag.diagnosis.work import Work
 from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE, Catalogue
@@ -36,15 +36,20 @@ from hd_diag.effects.effect import Stage
 from hd_diag.extended_model import ExtendedModel
 from hd_diag.formatting import words
 
-_MOST_ALIKE = 5  # causes that a class may hold and still say something
-_UNDONE = 1.5  # times what the configured drive leaves, that a cause may be of which others undo a part
-_TORQUE_ALONE = frozenset(("torque", "run"))  # what a law of the torque is computed from
+_SEARCHED_ROWS = 12_000  # that a search gets: more cost time, and show what is larger than noise no better
+_WORSE = 1.02  # times the residual without the causes: then held-out data speak against them
 _TESTED = 0.9  # of the time that a diagnosis may take, by which what could have been shown is tested
+_KEPT = 0.7  # the same, for which parameters are as configured
 _NO_LAWS = ("no law was found", "no law was found")
 _BY_TORQUE = ("friction", "torsion")  # kinds of causes that a motor's own friction and constant imitate
 _BY_MOTOR = "a motor's own friction and constant imitate it: measure the torque at the joint"
-_HIDDEN = "more than noise is left: what else is wrong may hide it"
+_HIDDEN = "more than noise is left at the gear's lines: what else is wrong may hide it"
 _AMBIGUOUS = "the parameters are ambiguous: with others it may be there"
+_NOT_PREDICTED = "held-out data are predicted no better with the causes than without"
+_SHAPE = "it is the torsion's own shape: see what is left by the torque"
+_PARAMETERS = "it is a parameter of the model: see those"
+_NO_CAUSES = {"torsional_hardening": _SHAPE, "torque_gain": _PARAMETERS, "wear_backlash": _PARAMETERS}
+"""Effects that describe what parameters and remainders do, and why they are not named."""
 
 
 class Allowed(NamedTuple):
@@ -68,7 +73,7 @@ class Diagnosis:
     configured: Drive
     findings: tuple[Finding, ...]
     refitted: Refit | None = None
-    found: Search | None = None
+    found: Solution | None = None
     rms: Rms | None = None
     gain: Gain | None = None
     kept: dict[str, float] = field(default_factory=dict)
@@ -90,41 +95,33 @@ class Diagnosis:
     @property
     def causes(self) -> tuple[Cause, ...]:
         """Causes found that the record can tell, most explaining first."""
-        return tuple(filter(self._is_named, self.found.causes if self.found else ()))
+        return tuple(cause for cause in (self.found.causes if self.found else ()) if not self.doubt(cause))
 
     @property
     def hints(self) -> tuple[Cause, ...]:
-        """The others: nearest to what the record shows, and in the model, but not to be named for it."""
-        return tuple(filterfalse(self._is_named, self.found.causes if self.found else ()))
+        """Those that are likely, and in the model, but not to be named for it."""
+        return tuple(
+            cause
+            for cause in (self.found.causes if self.found else ())
+            if self.doubt(cause) and cause.standing.probability >= HINTED
+        )
 
     @property
     def predicting(self) -> bool:
         """Whether held-out rows are predicted better with the causes than without, or as configured."""
         rms = self.rms
-        return rms is None or rms.by_causes < rms.without_causes
+        return rms is None or rms.by_causes < _WORSE * rms.without_causes
 
-    def is_undone(self, cause: Cause) -> bool:
-        """Whether a cause is plainly more than all that the configured drive leaves: others undo it.
+    def doubt(self, cause: Cause) -> str:
+        """The first reason for which a cause is not named; empty where it is.
 
-        Of a law of the torque what is straight counts as a compliance, of which it is no part to undo.
+        Where more than noise is left what else is wrong may look like it: then evidence counts less.
         """
-        size = cause.own if _TORQUE_ALONE.issuperset(cause.effect.needs) else cause.amplitude
-        return self.rms is not None and size > _UNDONE * self.rms.nominal
-
-    def _is_named(self, cause: Cause) -> bool:
-        """Whether a cause is named; not if too many others explain as much, or the parameters are ambiguous.
-
-        Nor in a misfit, or where one may be that is larger than what it explains, or beside which that may be
-        chance: what else is wrong may look like it. Nor if held-out rows are predicted no better with the
-        causes, or if others undo it. Where the torque is a motor's current nothing is named that may be
-        friction, torsion or the torque's reading: the motor's own friction and constant are fitted too, and
-        not known well enough.
-        """
-        named = self.predicting and not self.is_undone(cause) and len(cause.alike) <= _MOST_ALIKE
-        if self.rms and self.misfit and self.found and self.misfit.suspected:
-            p_value = chance_in_misfit(cause.p_value, self.found.family, self.misfit.value)
-            named = named and cause.own > self.rms.beyond_noise and p_value <= FAMILY_ERROR
-        return named and not cause.doubtful and not self._nameless.keys() & set(cause.alike)
+        times = self.misfit.value if self.misfit and self.misfit.suspected else 1.0
+        if doubt := cause.standing.beside(times).doubt:
+            return doubt
+        why = next((self._nameless[name] for name in cause.alike if name in self._nameless), "")
+        return why or ("" if self.predicting else _NOT_PREDICTED)
 
     @property
     def undecided(self) -> dict[str, str]:
@@ -141,7 +138,7 @@ class Diagnosis:
     def _nameless(self) -> dict[str, str]:
         """Effects that would not be named whatever their size, and why."""
         names, why = [effect.name for effect in self.catalogue], ""
-        if self.misfit and self.misfit.certain:
+        if self.misfit and self.misfit.certain and self.rms and not self.rms.gear < MISFIT:
             why = _HIDDEN
         elif self.refitted and not self.refitted.trustworthy:
             why = _AMBIGUOUS
@@ -150,12 +147,22 @@ class Diagnosis:
                 effect.kind in _BY_TORQUE or effect.stage == Stage.TORQUE for effect in self.catalogue
             )
             names, why = list(compress(names, of_motor)), _BY_MOTOR
-        return dict.fromkeys(names, why) if why else {}
+        return _NO_CAUSES | (dict.fromkeys(names, why) if why else {})
 
     @property
     def order_table(self) -> tuple[OrderRow, ...]:
         """Waves without a cause, the largest first; those that repeat are in the model."""
         return self.found.table if self.found else self.orders
+
+    @property
+    def functions(self) -> tuple[Function, ...]:
+        """What is slow and unexplained: functions of torque, speed, place and time, and lines of any gear."""
+        return self.found.functions if self.found else ()
+
+    @property
+    def larger(self) -> tuple[Function, ...]:
+        """Those that are larger than usual, and large enough to be told."""
+        return tuple(one for one in self.functions if one.is_larger and one.rms >= LEAST_SIZE)
 
     @property
     def parameters(self) -> dict[str, dict[str, Any]]:
@@ -205,30 +212,31 @@ def diagnose(
     else:
         first = refit(renumbered(record.select(~test)), configured, rng)
         begun = linearise(record, configured, first.parameters, rows=~test, catalogue=catalogue, work=work)
-    work.tell(0.12, "looking for causes")
-    plain = settle(begun, begun.data.given)
-    found = search(plain, rng, first)
-    work.tell(0.73, "measuring the gain")
-    best = most_predictive(record, test, which, plain, found, rng)
-    kept, rms, gain = best.kept, best.rms, best.gain
-    work.tell(0.86, "using all data")
-    # A shape without a cause has columns of its rows, of which there may be more here.
-    present = (one for one in best.found.fit.present if not isinstance(one[0][0], UnmodelledTerm))
-    every = replace(best.every, held=kept.held).beside(tuple(present))
-    whole = doubted(refitted(settle(every, best.found.chosen), best.found))
-    searched = best.found
-    del begun, plain, found, best, every  # some hundred columns each
+    work.tell(0.15, "looking for causes")
+    found = search(_starts(begun, test), begun, rng, first.torque_zero)
+    best, kept = found.best, Kept({})
+    work.tell(0.62, "testing which parameters are as configured")
+    with work.until(_KEPT, "testing which parameters may be as configured"):
+        best, kept = kept_parameters(best)
+    measured = with_table(solution(best, standings(found), rng))
+    fit, chosen = measured.fit, measured.chosen
+    every = fit.on(usable(fit.data.source, measured.torque_shift)).beside(
+        fit.sized(chosen, fit.fit(chosen)[0])
+    )
+    work.tell(0.7, "measuring the gain")
+    without = settle(fit.beside(()), fit.data.given)
+    rms, gain = measured_gain(record, test, which, without, measured, every, rng)
+    work.tell(0.8, "using all data")
+    whole = measured.at(settle(replace(every, whiten=fit.whiten), chosen, 2, learn=False))
     # As of an average whose parts disagree: Birge, Phys. Rev. 40 (1932).
     wider = rms.misfit.value if rms.misfit.suspected else 1.0
-    parameters, spread = kept.spread(whole)
-    # Minima beside a drive without displacement are no rivals of it; nor those that only a cause made alike.
-    certain = (
-        first.trustworthy or "eccentricity" in kept.bounds or is_only_minimum(whole.fit, whole.chosen, rng)
-    )
-    trustworthy = certain and not fit_parameters.at_bound(parameters, configured)
+    parameters, spread = kept.spread(whole, found.rivals)
+    trustworthy = not found.rivals and not fit_parameters.at_bound(parameters, configured)
     drive = fit_parameters.drive_of(parameters, configured)
-    work.tell(0.92, "looking at what no cause explains")
-    left = _described(record, unexplained(whole), rms)
+    work.tell(0.9, "looking at what no cause explains")
+    whole = replace(whole, table=measured.table)
+    wanders = any(effect.wanders(nonlinear) for effect, nonlinear in whole.chosen)
+    left = _described(record, unexplained(whole), rms, wanders)
     result = Diagnosis(
         record,
         configured,
@@ -245,19 +253,32 @@ def diagnose(
         motor_std=motor_deviations(whole),
     )
     with work.until(_TESTED, "testing what this motion could have shown"):
-        result = replace(result, testable=testability(searched, rms, result.undecided))
+        result = replace(result, testable=testability(best, result.undecided))
     return replace(result, left_out=tuple(work.left_out))
 
 
-def _described(record: Record, lines: list[Unexplained], rms: Rms) -> tuple[Unexplained, ...]:
+def _starts(begun: LinearisedFit, test: Rows) -> list[LinearisedFit]:
+    """Where a search begins, on some rows of those that are not held out: as refitted, and as configured."""
+    data = begun.data
+    some = some_rows(data.source, _SEARCHED_ROWS)
+    record = renumbered(data.source.select(some))
+    # Single rows are for causes that remember.
+    rows = ~test[some] & (np.bincount(record.run) > ORDER)[record.run]
+    fit = linearise(record, data.configured, begun.parameters, rows, data.catalogue, begun.work)
+    fit = fit.beside(begun.present)
+    as_configured = fit_parameters.vector(data.configured, data.configured)
+    return [fit] if record.by_current else [fit, fit.moved(as_configured)]
+
+
+def _described(record: Record, lines: list[Unexplained], rms: Rms, wanders: bool) -> tuple[Unexplained, ...]:
     """What no cause explains; where more than noise is left there is always an entry."""
-    beyond = math.sqrt(2.0 * max(rms.extended**2 - rms.noise**2, 0.0))
-    if rms.extended > MISFIT * rms.noise and not rms.misfit.suspected:
-        what, amplitude = "is left only as the model runs: its signals are late", beyond
-        if rms.wandering:
-            what = "wanders in phase or amplitude, which the fit follows and a model that runs cannot"
-            amplitude = math.sqrt(2.0) * rms.wandering
-        lines = [*lines, Unexplained(0.0, "input", amplitude, *_NO_LAWS, what)]
+    beyond = math.sqrt(2.0 * max(rms.extended**2 - rms.wandering**2 - rms.noise**2, 0.0))
+    if wanders and rms.extended > MISFIT * rms.noise:
+        what = "wanders in phase or amplitude, which the fit follows and a model that runs cannot"
+        lines = [*lines, Unexplained(0.0, "input", math.sqrt(2.0) * rms.wandering, *_NO_LAWS, what)]
+    elif rms.extended**2 - rms.wandering**2 > (MISFIT * rms.noise) ** 2 and not rms.misfit.suspected:
+        what = "is left only as the model runs: its signals are late"
+        lines = [*lines, Unexplained(0.0, "input", beyond, *_NO_LAWS, what)]
     if lines or not rms.misfit.suspected:
         return tuple(lines)
     what = "is left, in no shape that was tried"

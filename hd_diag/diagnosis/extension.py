@@ -7,10 +7,10 @@ import itertools
 import numpy as np
 
 from hd_diag.arrays import Floats
+from hd_diag.diagnosis.evidence.solution import Solution
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.record import Record
-from hd_diag.diagnosis.search.causes import Search
 from hd_diag.drive import Drive
 from hd_diag.effects.effect import Effect
 from hd_diag.effects.order_line import ORDER_LINE
@@ -18,8 +18,8 @@ from hd_diag.extended_model import ExtendedModel, Range, Ranges, Term
 from hd_diag.model.torsion_map import TorsionMap
 
 
-def extended_model(found: Search, configured: Drive, record: Record) -> ExtendedModel:
-    """The refitted drive with its causes, the waves that repeat, and the encoders' offset.
+def extended_model(found: Solution, configured: Drive, record: Record) -> ExtendedModel:
+    """The refitted drive with its causes, functions and waves that repeat, and the encoders' offset.
 
     It is valid in the range of the record that it was fitted to.
     """
@@ -28,14 +28,15 @@ def extended_model(found: Search, configured: Drive, record: Record) -> Extended
     known = [(cause.effect, cause.coefficients, cause.nonlinear) for cause in found.causes]
     sized = found.fit.sized(found.chosen, beta)
     known += [(effect, one, nonlinear) for (effect, nonlinear), one in sized if effect.given]
-    known += [(ORDER_LINE, row.coefficients, row.nonlinear) for row in found.table if row.repeats]
+    known += [(one.effect, one.coefficients, one.nonlinear) for one in found.functions if one.is_described]
+    known += [(ORDER_LINE, row.coefficients, row.nonlinear) for row in found.table if row.in_model]
     terms = tuple(_term(*one) for one in known)
     zeros = found.fit.data.offsets  # each recording has its own, a joint that runs their mean
     offset = float(zeros.mean(axis=0) @ beta[found.fit.parameters.size :][: zeros.shape[1]])
     return ExtendedModel(drive, terms, offset, _ranges(record))
 
 
-def encoder_zeros(found: Search) -> Floats:
+def encoder_zeros(found: Solution) -> Floats:
     """Zero of the encoders, output against input, in each recording that is fitted [rad], shape (k,)."""
     data = found.fit.data
     first = np.unique(data.record.bag, return_index=True)[1]

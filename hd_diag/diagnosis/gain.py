@@ -9,21 +9,23 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.signal import lfilter
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.drift import without_drift
+from hd_diag.diagnosis.evidence.order_table import part
+from hd_diag.diagnosis.evidence.solution import Solution
+from hd_diag.diagnosis.evidence.unmodelled_terms import UnmodelledTerm
+from hd_diag.diagnosis.evidence.waves import Remainder
 from hd_diag.diagnosis.extension import extended_model, running_residual
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.design import interval, projection
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
-from hd_diag.diagnosis.noise import ORDER, numbered, slices
+from hd_diag.diagnosis.noise import ORDER, Whitening, numbered, slices
 from hd_diag.diagnosis.record import Record, RecordError
-from hd_diag.diagnosis.search.causes import Search
-from hd_diag.diagnosis.search.order_table import part
-from hd_diag.diagnosis.search.remainder import Remainder
-from hd_diag.diagnosis.search.unmodelled_terms import UnmodelledTerm
 from hd_diag.diagnosis.stamps import usual_step
 from hd_diag.drive import Drive
+from hd_diag.effects.remainders import TIME
 from hd_diag.effects.signals import MISSING_STEPS
 
 Rows = npt.NDArray[np.bool_]
@@ -60,6 +62,8 @@ class Rms:
     noise_high: float
     repeated: bool = field(default=True, kw_only=True)
     wandering: float = field(default=0.0, kw_only=True)
+    slow: float = field(default=math.nan, kw_only=True)
+    gear: float = field(default=math.nan, kw_only=True)
 
     @property
     def by_causes(self) -> float:
@@ -185,7 +189,7 @@ def measured_gain(
     test: Rows,
     which: str,
     plain: LinearisedFit,
-    found: Search,
+    found: Solution,
     every: LinearisedFit,
     rng: np.random.Generator,
 ) -> tuple[Rms, Gain]:
@@ -226,23 +230,46 @@ def measured_gain(
         beyond = max(_rms(extended) / max(_rms(rows_fitted), 1e-300), 1.0)
         most = beyond * noise.high if record.has_torque else noise.rms
     parts = [effect.wandering(every.whole, nonlinear) for effect, nonlinear in found.chosen]
+    parts += [effect.columns(every.whole, at) for effect, at in found.chosen if effect is TIME]
     wandering = np.concatenate([np.empty((record.size, 0)), *parts], axis=1)[fitted & test]
     rest = renumbered(record.select(fitted & test))
     number = slices(rest.time, rest.run, _SLICE)
+    offline = of_fit(_residual_of(every, found.fit, found.chosen))
+    slow, gear = _bands(offline - projection(wandering, offline), rest, found.fit.whiten, rng)
     rms = Rms(
         nominal=_rms(nominal),
         refit=_rms(of_fit(_residual_of(every.moved(plain.parameters), plain, beside))),
         named=_rms(extended),
         extended=_rms(extended),
-        offline=_rms(of_fit(_residual_of(every, found.fit, found.chosen))),
+        offline=_rms(offline),
         live=_rms(live[np.isfinite(live)]),
         noise=noise.low if noise.vague else noise.rms,
         noise_low=noise.low,
         noise_high=most,
         repeated=noise.repeated and not noise.vague,
         wandering=_rms(projection(wandering, extended)),
+        slow=slow,
+        gear=gear,
     )
     return rms, explained(nominal, extended, number, which, rng)
+
+
+def _bands(left: Floats, rows: Record, noise: Whitening, rng: np.random.Generator) -> tuple[float, float]:
+    """What is left (n,) over the noise: of means over turns of the input, and within these.
+
+    The gear's lines are within a turn. The noise has the colour that was measured, along the same rows.
+    """
+    turn = np.floor(rows.input_angle / (2.0 * np.pi))
+    cell = numbered((np.diff(turn) != 0) | (np.diff(rows.run) != 0))
+    count = np.bincount(cell)
+    alike = lfilter([noise.scale], np.append(1.0, -noise.coefficients), rng.standard_normal(left.size))
+
+    def parts(values: Floats) -> tuple[float, float]:
+        means = (np.bincount(cell, values) / count)[cell]
+        return _rms(means - means.mean()), _rms(values - means)
+
+    slow, gear = (a / max(b, 1e-300) for a, b in zip(parts(left), parts(alike), strict=True))
+    return slow, gear
 
 
 def explained(before: Floats, after: Floats, number: Integers, which: str, rng: np.random.Generator) -> Gain:
@@ -264,10 +291,10 @@ def _residual_of(fit: LinearisedFit, trained: LinearisedFit, chosen: Chosen) -> 
     Unmodelled terms are fitted, but are no part of the model; nor is what a cause wanders by.
     """
     beta, _, _ = trained.fit(chosen)
-    fixed = fit.always()
-    residual = fit.effects.uncorrected - fixed @ beta[: fixed.shape[1]]
+    own = fit.parameters.size  # zeros are those of the rows that each has
+    residual = fit.effects.uncorrected - fit.jacobian @ beta[:own]
     sized = tuple((item, part[: item[0].size]) for item, part in trained.sized(chosen, beta))
-    causes = tuple(one for one in sized if not isinstance(one[0][0], UnmodelledTerm))
+    causes = tuple(one for one in sized if one[0][0].lasting and not isinstance(one[0][0], UnmodelledTerm))
     return np.asarray(residual - fit.beside(sized).effects.together(causes))
 
 

@@ -11,12 +11,14 @@ import numpy as np
 
 from hd_diag.diagnosis.accuracy import WHOLE_TURN, Accuracy, accuracy
 from hd_diag.diagnosis.diagnosis import Diagnosis
+from hd_diag.diagnosis.evidence.kept_parameters import DISPLACEMENTS, PLAIN, TWO_SIDED
+from hd_diag.diagnosis.evidence.solution import Cause
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.refit import usable
 from hd_diag.diagnosis.gain import MISFIT
-from hd_diag.diagnosis.search.kept_parameters import DISPLACEMENTS, PLAIN, TWO_SIDED
 from hd_diag.formatting import ARCSEC, words
 
+Action = Literal["nothing", "watch", "inspect"]
 Judgement = Literal["as_configured", "parameters", "causes", "described", "misfit", "not_judged"]
 
 _SIGMAS = 3.0  # a parameter this many standard deviations off its configured value is another
@@ -26,6 +28,14 @@ _MOST_ROWS = 2000
 
 Beside = Literal["within", "near", "beyond", "open"]
 """A value beside its limit: under it, over it, too near to it to tell which, or unknown."""
+
+
+_USUAL_LOOP = 30.0 * ARCSEC  # half of the arcminute between both ways that catalogues allow
+
+
+def is_usual(cause: Cause) -> bool:
+    """Whether a new gear may have it as large: a hysteresis within what catalogues call usual."""
+    return cause.effect.name == "hysteresis" and float(np.sum(np.abs(cause.coefficients))) <= _USUAL_LOOP
 
 
 class Limited(NamedTuple):
@@ -84,19 +94,30 @@ class Answer:
             return "not_judged"
         if found.refitted is None:
             return "described" if found.order_table else "not_judged"
-        if found.rms.misfit.certain:
+        if found.rms.misfit.certain and not found.rms.gear < MISFIT:
             return "misfit"
         if found.causes or any(finding.name == "tooth_skip" for finding in found.findings):
             return "causes"
-        if found.order_table or found.unexplained or found.hints:
+        if found.order_table or found.unexplained or found.hints or found.larger:
             return "described"
         return "parameters" if self.changes else "as_configured"
+
+    @cached_property
+    def action(self) -> Action:
+        """What to do: inspect what was found or is beyond a limit; watch what may be or is not known."""
+        found, limits = self.diagnosis, [self.normal, self.tolerance]
+        places = [one.place for one in limits if one is not None]
+        asked = [cause for cause in found.causes if not is_usual(cause)]
+        if asked or any(finding.fatal for finding in found.findings) or "beyond" in places:
+            return "inspect"
+        doubts = found.findings or found.hints or found.larger or self.judgement in ("misfit", "not_judged")
+        return "watch" if doubts or "near" in places else "nothing"
 
     @property
     def vague(self) -> bool:
         """Whether a displacement that is not plain may be a part of what is left, or undo a cause."""
         left = self.diagnosis.misfit
-        return bool(left and left.suspected) or any(map(self.diagnosis.is_undone, self.diagnosis.hints))
+        return bool(left and left.suspected)
 
     @cached_property
     def changes(self) -> list[Change]:

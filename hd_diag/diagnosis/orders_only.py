@@ -10,14 +10,14 @@ import numpy.typing as npt
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.diagnosis import Diagnosis
+from hd_diag.diagnosis.evidence.order_table import order_table, part, refitted_rows
+from hd_diag.diagnosis.evidence.unexplained import lines, waves
+from hd_diag.diagnosis.evidence.waves import Remainder
 from hd_diag.diagnosis.gain import Rms, explained, held_out
 from hd_diag.diagnosis.noise import slices
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.regression import centered, usual_laws
 from hd_diag.diagnosis.screening import Screened
-from hd_diag.diagnosis.search.order_table import order_table, part, refitted_rows
-from hd_diag.diagnosis.search.remainder import Remainder
-from hd_diag.diagnosis.search.unexplained import lines, waves
 from hd_diag.drive import Drive
 
 _BLOCKS = 24

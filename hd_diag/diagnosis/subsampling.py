@@ -35,7 +35,15 @@ _PARTS = 8  # of a gap, in each of which the input's way is kept
 
 
 def subsample(record: Record, limit: int = LIMIT) -> Record:
-    """A record of at most `limit` rows: the same where it is short enough, with the extent of the whole.
+    """A record of at most `limit` rows, see :func:`some_rows`: the same where it is short enough.
+
+    It has the extent of the whole.
+    """
+    return record if record.size <= limit else record.select(some_rows(record, limit))
+
+
+def some_rows(record: Record, limit: int) -> Integers:
+    """Numbers of at most `limit` rows, all of them where there are no more.
 
     Otherwise stretches, one in each of up to 48 cells that divide the runs evenly, or the whole record where
     it has many runs. The place of a stretch in its cell is chosen so that all torques, speeds, directions and
@@ -43,7 +51,7 @@ def subsample(record: Record, limit: int = LIMIT) -> Record:
     reverse: friction remembers those.
     """
     if record.size <= limit:
-        return record
+        return np.arange(record.size)
     cells = _cells(record, min(_STRETCHES, max(limit // _SHORTEST, 1)))
     length = max(limit // len(cells) - _REVERSALS - 2 * _PARTS, 1)
     rows, last = [], 0
@@ -51,7 +59,7 @@ def subsample(record: Record, limit: int = LIMIT) -> Record:
         end = min(begin + length, edge)
         rows += [_between(record, last, begin), np.arange(begin, end)]
         last = end
-    return record.select(np.concatenate(rows))
+    return np.concatenate(rows)
 
 
 def _cells(record: Record, most: int) -> list[tuple[int, int]]:

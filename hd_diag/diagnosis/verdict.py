@@ -10,16 +10,17 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.diagnosis import Diagnosis
+from hd_diag.diagnosis.evidence.kept_parameters import TWO_SIDED
+from hd_diag.diagnosis.evidence.order_table import OrderRow
+from hd_diag.diagnosis.evidence.search import FURTHER_CAUSES
+from hd_diag.diagnosis.evidence.solution import Cause, Function
+from hd_diag.diagnosis.evidence.unexplained import Unexplained
 from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.fit.fit_parameters import direction_period
 from hd_diag.diagnosis.gain import Gain, Rms
-from hd_diag.diagnosis.judgement import Answer, Change, first_words
-from hd_diag.diagnosis.search.causes import Cause
-from hd_diag.diagnosis.search.kept_parameters import TWO_SIDED
-from hd_diag.diagnosis.search.order_table import OrderRow
-from hd_diag.diagnosis.search.selection import FURTHER_CAUSES
-from hd_diag.diagnosis.search.unexplained import Unexplained
+from hd_diag.diagnosis.judgement import Answer, Change, first_words, is_usual
 from hd_diag.effects.effect import Effect
+from hd_diag.effects.remainders import ORDERS
 from hd_diag.formatting import (
     ARCSEC,
     arcsec,
@@ -85,7 +86,10 @@ def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[
             "high": gain.high,
             "held_out": gain.held_out,
         },
+        "remainders": [_remainder(one) for one in diagnosis.functions if one.effect not in ORDERS],
+        "misfit": {"slow": rms.slow, "gear": rms.gear},
         "testability": [test.__dict__ for test in diagnosis.testable],
+        "action": answer.action,
         "judgement": answer.judgement,
         "evidence": answer.evidence,
         "described": [_row(row) for row in diagnosis.order_table],
@@ -130,6 +134,17 @@ def _row(row: OrderRow) -> dict[str, Any]:
     }
 
 
+def _remainder(one: Function) -> dict[str, Any]:
+    return {
+        "of": one.effect.name.removeprefix("function_of_"),
+        "rms": one.rms,
+        "largest": one.largest,
+        "at": one.at,
+        "larger_than_usual": one.is_larger,
+        "in_model": one.is_described,
+    }
+
+
 def _cause(cause: Cause) -> dict[str, Any]:
     effect, sizes = cause.effect, (cause.coefficients, cause.nonlinear)
     return {
@@ -138,7 +153,9 @@ def _cause(cause: Cause) -> dict[str, Any]:
         "parameters": _values(effect, *sizes, effect.standard_deviations(*sizes, cause.covariance)),
         "amplitude": cause.amplitude,
         "gain": {"value": cause.gain, "low": cause.gain_low, "high": cause.gain_high},
-        "p_value": cause.p_value,
+        "probability": cause.standing.probability,
+        "usual": is_usual(cause),
+        "p_value": cause.standing.chance,
         "explanation": effect.cause,
         "inspect": effect.inspect,
     }
@@ -161,6 +178,8 @@ def _finding(finding: Finding) -> dict[str, Any]:
         "parameters": {"size": {"value": finding.value, "std": math.nan, "unit": finding.unit}},
         "amplitude": math.nan,
         "gain": dict.fromkeys(("value", "low", "high"), math.nan),
+        "probability": 1.0,
+        "usual": False,
         "p_value": 0.0,
         "explanation": finding.text,
         "inspect": finding.text,
@@ -194,6 +213,8 @@ def sentence(answer: Answer) -> str:
     if rows:
         parts.append(f"described, not explained: {', '.join(map(_row_in_words, rows))}")
     rms, record = diagnosis.rms, diagnosis.record
+    if larger := diagnosis.larger:
+        parts.append("larger than usual, by no known cause: " + ", ".join(map(_function_in_words, larger)))
     if rms is not None and diagnosis.hints and not diagnosis.predicting:
         left = rms.by_causes / ARCSEC
         parts.append(
@@ -309,7 +330,25 @@ def _cause_in_words(cause: Cause) -> str:
     name = words(cause.effect.name)
     if len(cause.alike) > 1:
         name = f"{' or '.join(map(words, cause.alike))} (this record cannot tell which)"
-    return f"{name}, {arcsec(cause.amplitude)} rms"
+    usual = ", usual for a gear" if is_usual(cause) else ""
+    return f"{name}, {arcsec(cause.amplitude)} rms{usual}"
+
+
+_OF = {
+    "torque": ("the torsion's shape", 1.0, "N m"),
+    "speed": ("a part that follows the speed", 1.0, "rad/s"),
+    "place": ("a part that follows the output's place", 180.0 / math.pi, "°"),
+    "time": ("a slow drift", 1.0, "s"),
+}  # in words, and the unit of where it is greatest
+
+
+def _function_in_words(one: Function) -> str:
+    name = one.effect.name.removeprefix("function_of_")
+    if name not in _OF:
+        order = name.removeprefix("line_")
+        return f"a wave of {order} per input turn that changes with the torque ({arcsec(one.rms)} rms)"
+    what, scale, unit = _OF[name]
+    return f"{what} ({arcsec(one.largest)} at {one.at * scale:.3g} {unit})"
 
 
 def _line_in_words(line: Unexplained) -> str:

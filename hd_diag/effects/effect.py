@@ -104,6 +104,9 @@ class Effect:
         sizes, and is never named as a cause.
     lasting : bool
         Whether a model that runs can hold it; not what happened once in a record.
+    standard : bool
+        Whether its coefficients are standard normal before anything is measured; see
+        :mod:`hd_diag.effects.remainders`.
     """
 
     name: str
@@ -129,6 +132,7 @@ class Effect:
     searched: bool = True
     given: bool = False
     lasting: bool = True
+    standard: bool = False
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Transmission error by each linear coefficient, at small size [rad per unit], shape (n, size).

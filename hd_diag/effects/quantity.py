@@ -95,7 +95,8 @@ def lobes(
         quantity
         for k in orders
         for quantity in (
-            amplitude(f"{name}_{k}", "m", 5e-5, 2e-6, size_meaning.format(k)),
+            # Errors that add up around fall with the order (a random walk: as its reciprocal).
+            amplitude(f"{name}_{k}", "m", 5e-5, 2e-6 * min(1.0, 2.0 / k), size_meaning.format(k)),
             direction(f"{name}_direction_{k}", direction_meaning, k),
         )
     )

@@ -18,13 +18,13 @@ from hd_diag.config.catalogue import load
 from hd_diag.config.configuration import JointConfig
 from hd_diag.config.parameters import Value
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
+from hd_diag.diagnosis.evidence.solution import Cause
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.diagnosis.judgement import Answer
 from hd_diag.diagnosis.record import RecordError
 from hd_diag.diagnosis.ripple.ripple import ripple
 from hd_diag.diagnosis.ripple.verdict import sentence as ripple_sentence
 from hd_diag.diagnosis.screening import screened
-from hd_diag.diagnosis.search.causes import Cause
 from hd_diag.diagnosis.verdict import as_json
 from hd_diag.effects import CATALOGUE
 from hd_diag.formatting import json_ready

@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
+from hd_diag.diagnosis.evidence.solution import Cause
 from hd_diag.diagnosis.fit.fit_parameters import direction_period
 from hd_diag.diagnosis.judgement import Answer, Beside, Limited
-from hd_diag.diagnosis.search.causes import Cause
 from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE
 from hd_diag.effects.quantity import Quantity

@@ -263,7 +263,8 @@ OPTIONAL: dict[str, Fault] = {
     "wear_backlash": FAULTS["wear_backlash"],
     "torque_gain": Fault(lambda r, a, m: sensor.TorqueGain((1 + a / 100) ** _sign(r)), 5, 20, "%"),
 }
-NEED_NO_NAME = (*OPTIONAL, "motor_current")
+# The torsion's shape is told, and is no cause.
+NEED_NO_NAME = (*OPTIONAL, "torsional_hardening", "motor_current")
 UNNAMED: dict[str, Fault] = {"output_lines": Fault(_lines, 1, 6, "arcsec")}
 
 

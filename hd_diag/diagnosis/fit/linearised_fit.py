@@ -323,6 +323,9 @@ class LinearisedFit:
         pull[: width.size] = center - self.parameters
         precision[self._all_held], pull[self._all_held] = _HELD, 0.0
         for (effect, _), place in zip(chosen, places, strict=True):
+            if effect.standard:
+                precision[place] = 1.0 / self.misfit**2  # not more where a motor's current leaves a misfit
+                continue
             times = 1.0 if effect.given else _TEETH if effect.of_teeth else _UNHEARD_OF
             usual = effect.usual
             precision[place.start : place.start + usual.size] = (usual * times) ** -2.0

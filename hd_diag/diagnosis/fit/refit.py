@@ -145,6 +145,8 @@ def refit(
     -------
     Refit
     """
+    if configured.mesh.geometry.sections > 1 and starts is STARTS:
+        starts = FEW_STARTS  # each costs as many times more
     free = nuisance(record, configured.kinematics.ratio)
     if extra is not None:
         free = np.concatenate((free, extra), axis=1)

@@ -21,11 +21,11 @@ from hd_diag.formatting import ARCSEC
 Shape = Callable[[Signals], Floats]
 
 _STRETCHES = 12  # that a creep may be cut into
-_KNOTS = 7  # of a drift over a recording
 _CELLS = 240  # per turn of the output
 _WIDTHS = (0.06, 0.15)  # of a bump there [rad]
 _PERIODS = 4.0  # of a line within the output's way
 _LOWEST, _HIGHEST = 8, 1.9  # line per output turn; per input turn
+_ORDERS = np.array([3, *range(5, 41)])  # of the input, that no gear must have
 _PEAKS = 3  # of a spectrum that are looked at, with their neighbours
 
 
@@ -134,6 +134,27 @@ class OutputLine(UnmodelledTerm):
         return [(float(one),) for one in np.intersect1d(beside, _line_numbers(signals))]
 
 
+@dataclass(frozen=True, kw_only=True)
+class InputLine(UnmodelledTerm):
+    """A wave with a whole number of periods per input turn, beyond those that any gear has."""
+
+    def columns(self, signals: Signals, nonlinear: Values) -> Floats:
+        """See :meth:`Effect.columns`."""
+        return turning(nonlinear[0] * signals.wave_generator_angle)
+
+    def testable(self, signals: Signals) -> tuple[bool, str]:
+        """Where the input turns several times."""
+        turned = float(np.ptp(signals.wave_generator_angle)) if signals.size else 0.0
+        return turned > 2.0 * np.pi * _PERIODS, "the input turns too little to show a line"
+
+    def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
+        """The strongest of a residual's whole orders."""
+        if residual is None:
+            return Starts([(float(_ORDERS[0]),)], _ORDERS.size)
+        strength = integer_orders(signals.wave_generator_angle, residual, int(_ORDERS[-1]))[_ORDERS]
+        return Starts([(float(one),) for one in _ORDERS[np.argsort(strength)[::-1][:_PEAKS]]], _ORDERS.size)
+
+
 def _line_numbers(signals: Signals) -> Integers:
     """Whole numbers per output turn that a line of unknown cause may have."""
     turned = output_turns(signals)
@@ -147,13 +168,6 @@ def _line_numbers(signals: Signals) -> Integers:
 
 def _full(values: Floats) -> Floats:
     return np.asarray(values / max(float(np.max(np.abs(values), initial=0.0)), 1e-300))
-
-
-def _even_torque(signals: Signals) -> Floats:
-    load = _full(signals.torque)
-    if np.min(load) > -0.05 or np.max(load) < 0.05:
-        return np.empty((signals.size, 0))
-    return np.stack((np.abs(load), load**2), axis=1)
 
 
 def _sided_torque(signals: Signals) -> Floats:
@@ -176,22 +190,6 @@ def _creep(signals: Signals) -> Floats:
         columns[rows] = np.cumsum(np.stack((way, way * signals.torque[rows]), axis=1), axis=0)
     started = signals.run[:, None] == signals.run[[begin for begin, _ in stretches[1:]]]
     return np.concatenate((np.stack([_full(c) for c in columns.T], axis=1), started), axis=1)
-
-
-def _drift(signals: Signals) -> Floats:
-    """Broken lines over every stretch of a recording, the mean of each left out."""
-    parts = []
-    for begin, end in bounds(signals.run):
-        time = signals.time[begin:end]
-        span = float(time[-1] - time[0])
-        if span < 5.0:
-            continue
-        place = (time - time[0]) / span * (_KNOTS - 1)
-        hats = np.maximum(1.0 - np.abs(place[:, None] - np.arange(1, _KNOTS)), 0.0)
-        part = np.zeros((signals.size, _KNOTS - 1))
-        part[begin:end] = hats
-        parts.append(part)
-    return np.concatenate(parts[:4], axis=1) if parts else np.empty((signals.size, 0))
 
 
 def _rests(signals: Signals) -> Floats:
@@ -221,19 +219,22 @@ def _rest_middles(speed: Floats, least: float) -> list[int]:
     return found
 
 
-def _fast(signals: Signals) -> Floats:
-    speed = _full(signals.forward_speed)
-    square: Floats = speed**2
-    return np.stack((square, speed * np.abs(speed)), axis=1)
-
+OUTPUT_LINES = tuple(
+    OutputLine(
+        name=f"output_line_{number}",
+        cause="belongs to the output's turn",
+        frame="output",
+        quantities=(
+            amplitude("amplitude", "rad", 1e-3, 3.0 * ARCSEC, "of the transmission error"),
+            direction("phase", "of the wave at output angle zero"),
+            Quantity("number", "-", _LOWEST, 1e3, 1.0, "periods per output turn", False, discrete=True),
+        ),
+    )
+    for number in (1, 2, 3)
+)
+"""Several of a kind, of which the first that is left is tried."""
 
 UNMODELLED_TERMS = (
-    UnmodelledTerm(
-        name="even_torque",
-        shape=_even_torque,
-        cause="goes with the torque's size, alike under either sign",
-        frame="torque",
-    ),
     UnmodelledTerm(
         name="sided_torque",
         shape=_sided_torque,
@@ -246,13 +247,6 @@ UNMODELLED_TERMS = (
         cause="grows with the way, and with torque times way: something creeps",
         frame="input",
         remembers=True,  # the way between fitted rows
-    ),
-    UnmodelledTerm(
-        name="drift",
-        shape=_drift,
-        cause="drifts with time, by no measured cause",
-        frame="time",
-        predictive=False,
     ),
     UnmodelledTerm(
         name="rests",
@@ -272,23 +266,16 @@ UNMODELLED_TERMS = (
             Quantity("width", "rad", 0.01, 1.0, 0.1, "half width to 1/e", False, None, True),
         ),
     ),
-    UnmodelledTerm(
-        name="square_speed", shape=_fast, cause="grows with the square of the speed", frame="input"
-    ),
-)
-"""All but lines; each is tested like a cause, and described where it wins."""
-
-OUTPUT_LINES = tuple(
-    OutputLine(
-        name=f"output_line_{number}",
-        cause="belongs to the output's turn",
-        frame="output",
+    *OUTPUT_LINES,
+    InputLine(
+        name="input_line",
+        cause="belongs to the input's turn",
+        frame="input",
         quantities=(
             amplitude("amplitude", "rad", 1e-3, 3.0 * ARCSEC, "of the transmission error"),
-            direction("phase", "of the wave at output angle zero"),
-            Quantity("number", "-", _LOWEST, 1e3, 1.0, "periods per output turn", False, discrete=True),
+            direction("phase", "of the wave at the wave generator's angle zero"),
+            Quantity("number", "-", 3.0, 1e3, 1.0, "periods per input turn", False, discrete=True),
         ),
-    )
-    for number in range(1, 6)
+    ),
 )
-"""As many as a record may have of them."""
+"""Each is tested like a cause, and described where it wins."""

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hd_diag.arrays import Floats
+from hd_diag.diagnosis.evidence.order_table import order_table
+from hd_diag.diagnosis.evidence.solution import Solution
+from hd_diag.diagnosis.evidence.unmodelled_terms import InputLine, OutputLine, UnmodelledTerm
+from hd_diag.diagnosis.evidence.waves import Remainder, Rows, Wave, Weight, strongest
 from hd_diag.diagnosis.fit.present_effects import Item
-from hd_diag.diagnosis.search.causes import Search
-from hd_diag.diagnosis.search.order_table import order_table
-from hd_diag.diagnosis.search.remainder import Remainder, Rows, Wave, Weight, strongest
-from hd_diag.diagnosis.search.unmodelled_terms import OutputLine
 from hd_diag.formatting import ARCSEC
 
 _MOST_WAVES = 8
@@ -58,16 +58,20 @@ def waves(rest: Remainder) -> list[Wave]:
     return found
 
 
-def with_table(found: Search) -> Search:
+def with_table(found: Solution) -> Solution:
     """With the order table of what its fit leaves."""
-    rest = Remainder.of(found.fit, found.chosen)
+    rest = Remainder.of(found.fit, found.chosen, found.larger)
     return replace(found, table=order_table(rest, waves(rest), found.fit.signals.rated_torque))
 
 
-def unexplained(found: Search) -> list[Unexplained]:
+def unexplained(found: Solution) -> list[Unexplained]:
     """Unmodelled terms, and periodic parts of the residual that stand out of the noise."""
-    rest = Remainder.of(found.fit, found.chosen)
-    terms = [item for item in found.unmodelled if not (item[0].given or isinstance(item[0], OutputLine))]
+    rest = Remainder.of(found.fit, found.chosen, found.larger)
+    terms = [
+        item
+        for item in found.given
+        if isinstance(item[0], UnmodelledTerm) and not isinstance(item[0], (InputLine, OutputLine))
+    ]
     return [_term(found, item, rest) for item in terms] + lines(rest, waves(rest))
 
 
@@ -80,7 +84,7 @@ def lines(rest: Remainder, found: list[Wave]) -> list[Unexplained]:
     return result
 
 
-def _term(found: Search, item: Item, rest: Remainder) -> Unexplained:
+def _term(found: Solution, item: Item, rest: Remainder) -> Unexplained:
     """A part without a period; its amplitude is root two of its rms."""
     fit, (term, _) = found.fit, item
     place = fit.places(found.chosen)[found.chosen.index(item)]

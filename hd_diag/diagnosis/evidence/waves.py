@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -12,11 +13,13 @@ import numpy.typing as npt
 from scipy.fft import next_fast_len
 
 from hd_diag.arrays import Floats, Integers
+from hd_diag.diagnosis.evidence.calibration import LEAST_SIZE
+from hd_diag.diagnosis.evidence.unmodelled_terms import InputLine, OutputLine
 from hd_diag.diagnosis.fit.design import f_test, holds, orthonormal, projection
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.noise import Whitening, whitening
-from hd_diag.diagnosis.search.acceptance import LEAST_SIZE
-from hd_diag.diagnosis.search.unmodelled_terms import OutputLine
+from hd_diag.effects.effect import Effect
+from hd_diag.effects.remainders import LINES, ORDERS
 
 Rows = npt.NDArray[np.bool_]
 
@@ -76,16 +79,23 @@ class Remainder:
     lines: tuple[float, ...] = ()
 
     @staticmethod
-    def of(fit: LinearisedFit, chosen: Chosen) -> Remainder:
-        """What a fit leaves beside the chosen effects; lines of unknown cause among them are in it."""
+    def of(fit: LinearisedFit, chosen: Chosen, described: Collection[str] = ()) -> Remainder:
+        """What a fit leaves beside the chosen effects, and lines of unknown cause among them.
+
+        So are lines that any gear has, where they are larger than usual: those `described`, by name.
+        """
         s, beta = fit.signals, fit.fit(chosen)[0]
-        known = tuple(item for item in chosen if not isinstance(item[0], OutputLine))
+        known = tuple(item for item in chosen if not _is_line(item[0]))
         beside = np.concatenate((fit.always(), fit.joined(known)), axis=1)
         residual, lines = fit.remainder(chosen), []
         for item, place in zip(chosen, fit.places(chosen), strict=True):
-            if isinstance(item[0], OutputLine):
-                residual = residual + fit.columns(*item) @ beta[place]
-                lines.append(item[1][0] / abs(s.ratio))
+            if not _is_line(item[0]) or (item[0] in ORDERS and item[0].name not in described):
+                continue
+            residual = residual + fit.columns(*item) @ beta[place]
+            if item[0] in ORDERS:
+                lines.append(float(LINES[ORDERS.index(item[0])]))
+            else:
+                lines.append(item[1][0] / (abs(s.ratio) if isinstance(item[0], OutputLine) else 1.0))
         return Remainder(
             s.time,
             s.input_angle,
@@ -127,6 +137,10 @@ class Remainder:
         rest = self.residual - projection(pair, self.residual)
         beside = np.concatenate((self.beside, pair), axis=1)
         return replace(self, residual=rest, beside=beside)
+
+
+def _is_line(effect: Effect) -> bool:
+    return isinstance(effect, (InputLine, OutputLine)) or effect in ORDERS
 
 
 def strongest(rest: Remainder) -> Wave | None:

@@ -9,11 +9,12 @@ from itertools import pairwise
 import numpy as np
 
 from hd_diag.arrays import Floats, Integers
+from hd_diag.diagnosis.evidence.waves import Remainder, Wave, Weight
 from hd_diag.diagnosis.fit.design import projection
 from hd_diag.diagnosis.noise import Whitening, bounds, whitening
-from hd_diag.diagnosis.search.remainder import Remainder, Wave, Weight
 from hd_diag.effects.bearing_passage import CAGE
 from hd_diag.effects.effect import Values
+from hd_diag.effects.remainders import LINES
 
 _SAME = 9.0  # deviance that a whole number may cost; half a step beside it must cost more
 _SEGMENTS = 4  # of a record of fewer runs, over which a phase is compared
@@ -40,6 +41,8 @@ class OrderRow:
         Whether it has the same phase in all parts of the record: then a model can run with it.
     might_be : tuple of str
         Causes of the catalogue that have such an order.
+    is_function : bool
+        Whether the model has it as a function of torque already: a line that any gear has.
     """
 
     order: float
@@ -49,6 +52,12 @@ class OrderRow:
     covariance: Floats
     repeats: bool
     might_be: tuple[str, ...]
+    is_function: bool = False
+
+    @property
+    def in_model(self) -> bool:
+        """Whether a model runs with the row itself."""
+        return self.repeats and not self.is_function
 
     @property
     def amplitude(self) -> float:
@@ -120,7 +129,8 @@ def table_at(
     for index, ((order, frame, nonlinear), repeats) in enumerate(zip(rows, steady, strict=True)):
         at = slice(2 * index, 2 * index + 2)
         might_be = _might_be(order, frame, bool(nonlinear[1]), rest.ratio)
-        found.append(OrderRow(order, frame, nonlinear, beta[at], spread[at, at], repeats, might_be))
+        usual = frame == "input" and order in LINES and order in rest.lines
+        found.append(OrderRow(order, frame, nonlinear, beta[at], spread[at, at], repeats, might_be, usual))
     return tuple(sorted(found, key=lambda row: -row.amplitude))
 
 
@@ -137,7 +147,7 @@ def part(rows: tuple[OrderRow, ...], input_angle: Floats, torque: Floats, rated_
     for row in rows:
         order, loaded = row.nonlinear
         wave = row.coefficients @ np.stack((np.cos(order * input_angle), np.sin(order * input_angle)))
-        total += row.repeats * wave * (torque / rated_torque if loaded else 1.0)
+        total += row.in_model * wave * (torque / rated_torque if loaded else 1.0)
     return total
 
 

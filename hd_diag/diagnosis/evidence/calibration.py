@@ -1,0 +1,56 @@
+"""Every number that decides what is named, with where it comes from."""
+
+from __future__ import annotations
+
+import math
+
+from hd_diag.formatting import ARCSEC
+
+TEMPER = 1.0 / 3.0
+"""Share of the log likelihood that counts: noise and shapes are approximate (Miller and Dunson, J. Am. Stat.
+Assoc. 114, 2019). Calibrated once: causes stated with 99 % are right in 99 % of the development records."""
+
+PRESENT = math.log(0.02)
+"""Prior log odds of each cause: some twenty are known, and a joint with any is one in a few."""
+
+LARGER = math.log(0.05)
+"""The same of a remainder half a decade larger than usual, and of each further half: it needs no cause."""
+
+UNKNOWN = math.log(0.02)
+"""The same of a shape without a known cause."""
+
+NAMED, HINTED = 0.99, 0.5
+"""Probability from which a class is named, and from which it is a hint: one false alarm in a hundred."""
+
+LEAST_SIZE = 0.25 * ARCSEC
+"""Own part that a cause must have [rad rms]: a tenth of what the best gears leave; less asks for nothing."""
+
+USUAL_TORSION = 0.1
+"""Change of the compliance from torque to torque, by which gears of one page differ: catalogues allow ten to
+twenty per cent."""
+
+USUAL_LINE = 0.5 * ARCSEC
+USUAL_PLACE = 0.3 * ARCSEC
+USUAL_SPEED = 0.3 * ARCSEC
+USUAL_DRIFT = 0.3 * ARCSEC
+"""What is usual of each remainder [rad]: a new gear of one arcminute has waves of one to two arcsec, and so
+have bearings, mounts and zeros."""
+
+LARGER_BY = (1.0, 3.0, 10.0, 30.0, 100.0)
+"""Sizes of a remainder over its usual one, half a decade apart: between two, the evidence changes little."""
+
+SIZES = (0.1, 0.3, 1.0, 3.0, 10.0)
+"""The same of a cause's prior width over its usual size."""
+
+CLASS_SHARE = 0.99
+"""Share of the probability of all causes that a class holds: the same convention."""
+
+CERTAIN_SIZE = 2.326
+"""Standard deviations below a size that leave 99 %."""
+
+MOST_ALIKE = 5
+"""Causes that a class may hold and still say something: a repair has to begin with one."""
+
+UNPROVED = 10.0
+"""Log odds within which a cause that the motion cannot show is in the class of one that fits better: its form
+is known no better than that."""

@@ -1,0 +1,198 @@
+"""Evidence of sets of columns from one Gram matrix: sizes integrated out, prior widths by the evidence.
+
+    log evidence(S) = -1/2 [ y'y - m' (G + 1/L)^-1 m + log det(1 + L G) ] + log prior(S)
+
+for whitened columns with normal equations G, m and prior covariance L, the likelihood tempered (MacKay,
+Neural Computation 4, 1992; Miller and Dunson, J. Am. Stat. Assoc. 114, 2019).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+
+from hd_diag.arrays import Floats, Integers
+from hd_diag.diagnosis.evidence.calibration import TEMPER
+
+Key = Hashable
+Widths = Mapping[Key, float]
+
+_WIDE = 1e-2  # prior deviation of the encoders' zeros [rad]: as good as free
+_ROUNDS = 4  # of a search for the best widths
+
+
+@dataclass(frozen=True)
+class Group:
+    """Columns that belong together: their places, and how they are weighed.
+
+    Attributes
+    ----------
+    places : ndarray of int64, shape (k,)
+    widths : tuple of float
+        That their prior may have, in units of the usual size.
+    larger : float
+        What each step beyond the usual width costs [log odds].
+    """
+
+    places: Integers
+    widths: tuple[float, ...]
+    larger: float = 0.0
+
+    def cost(self, width: float) -> float:
+        """Prior log odds of a width."""
+        return self.larger * self.widths.index(width) if self.larger else 0.0
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Normal equations of all columns, in groups that may or may not be in a set.
+
+    Attributes
+    ----------
+    gram : ndarray, shape (k, k)
+        Tempered, of columns in units of their usual size.
+    moment : ndarray, shape (k,)
+    square : float
+    base : int
+        Number of the first columns, which every set has; their units make the prior a standard normal one.
+    pull : ndarray, shape (base,)
+        Where that is centred.
+    groups : dict
+        The others, by any name.
+    """
+
+    gram: Floats
+    moment: Floats
+    square: float
+    base: int
+    pull: Floats
+    groups: dict[Key, Group]
+
+    @staticmethod
+    def of(
+        columns: Sequence[Floats],
+        target: Floats,
+        precision: Floats,
+        pull: Floats,
+        groups: Iterable[tuple[Key, Floats, Floats, tuple[float, ...], float]],
+    ) -> Evidence:
+        """From whitened columns.
+
+        Parameters
+        ----------
+        columns : sequence of ndarray, shape (n, k)
+            That every set has.
+        target : ndarray, shape (n,)
+        precision, pull : ndarray, shape (base,)
+            Prior of those.
+        groups : iterable
+            Name, whitened columns (n, k), their usual sizes (k,), widths and what a larger one costs.
+        """
+        own = np.where(precision > 0.0, np.maximum(precision, 1e-300) ** -0.5, _WIDE)
+        parts, places = [np.concatenate(columns, axis=1) * own], {}
+        at = parts[0].shape[1]
+        for name, part, usual, widths, larger in groups:
+            parts.append(part * usual)
+            places[name] = Group(np.arange(at, at + part.shape[1]), widths, larger)
+            at += part.shape[1]
+        whole = np.concatenate(parts, axis=1)
+        gram, moment = whole.T @ whole, whole.T @ target
+        return Evidence(
+            TEMPER * gram,
+            TEMPER * moment,
+            TEMPER * float(target @ target),
+            own.size,
+            pull / own,
+            places,
+        )
+
+    def log(self, widths: Widths) -> float:
+        """Log evidence of a set with these prior widths, but for a constant and the priors of presence."""
+        _, _, _, solved, root = self._solved(widths)
+        deviance = self.square + float(self.pull @ self.pull) - float(solved @ solved)
+        larger = sum(self.groups[name].cost(width) for name, width in widths.items())
+        return -0.5 * deviance - float(np.sum(np.log(np.diag(root)))) + larger
+
+    def tuned(self, widths: Widths, names: Iterable[Key] | None = None) -> tuple[float, dict[Key, float]]:
+        """The best widths near some, and their log evidence; only those of some groups, of all without."""
+        found, best = dict(widths), self.log(widths)
+        free = [name for name in (found if names is None else names) if len(self.groups[name].widths) > 1]
+        for _ in range(_ROUNDS):
+            before = best
+            for name in free:
+                best, found = self._one_tuned(found, best, name)
+            if best <= before:
+                break
+        return best, found
+
+    def _one_tuned(self, widths: dict[Key, float], best: float, name: Key) -> tuple[float, dict[Key, float]]:
+        """After steps of one width, as long as each makes it better."""
+        choices = self.groups[name].widths
+        for step in (1, -1):
+            at, moved = choices.index(widths[name]), False
+            while 0 <= at + step < len(choices):
+                trial = {**widths, name: choices[at + step]}
+                value = self.log(trial)
+                # Far too small a width may need two steps to show.
+                if value <= best:
+                    break
+                best, widths, at, moved = value, trial, at + step, True
+            if moved:
+                break
+        return best, widths
+
+    def gains(self, widths: Widths, names: Iterable[Key]) -> dict[Key, tuple[float, float]]:
+        """What each of some groups would bring beside a set: log odds, and the best width for it."""
+        places, scale, _, solved, root = self._solved(widths)
+        found = {}
+        for name in names:
+            group = self.groups[name]
+            own = group.places
+            across = solve_triangular(root, scale[:, None] * self.gram[np.ix_(places, own)], lower=True)
+            inner = self.gram[np.ix_(own, own)] - across.T @ across
+            rest = self.moment[own] - across.T @ solved
+            best = (-np.inf, group.widths[0])
+            values, vectors = np.linalg.eigh(inner)
+            along = vectors.T @ rest
+            values = np.maximum(values, 0.0)
+            for width in group.widths:
+                wide = 1.0 + width**2 * values
+                gain = 0.5 * float(np.sum(width**2 * along**2 / wide - np.log(wide)))
+                best = max(best, (gain + group.cost(width), width))
+            found[name] = best
+        return found
+
+    def coefficients(self, widths: Widths) -> tuple[Floats, dict[Key, Floats]]:
+        """Most probable coefficients: of the base, in its units, and of each group, in usual sizes."""
+        _, scale, _, solved, root = self._solved(widths)
+        whole = scale * solve_triangular(root, solved, lower=True, trans=1)
+        at, found = self.base, {}
+        for name in widths:
+            size = self.groups[name].places.size
+            found[name] = whole[at : at + size]
+            at += size
+        return whole[: self.base], found
+
+    def information(self, widths: Widths, name: Key) -> tuple[Floats, Floats]:
+        """Of a group in usual sizes, tempered, (k, k): what a set beside it cannot imitate, and all of it."""
+        places, scale, _, _, root = self._solved(widths)
+        own = self.groups[name].places
+        across = solve_triangular(root, scale[:, None] * self.gram[np.ix_(places, own)], lower=True)
+        whole = self.gram[np.ix_(own, own)]
+        return whole - across.T @ across, whole
+
+    def _solved(self, widths: Widths) -> tuple[Integers, Floats, Floats, Floats, Floats]:
+        """Places, scales, right side, half-solved right side and Cholesky root of a set."""
+        places = [np.arange(self.base), *(self.groups[name].places for name in widths)]
+        wide = [np.ones(self.base), *(np.full(self.groups[n].places.size, w) for n, w in widths.items())]
+        at, scale = np.concatenate(places), np.concatenate(wide)
+        matrix = scale[:, None] * self.gram[np.ix_(at, at)] * scale
+        matrix[np.diag_indices_from(matrix)] += 1.0
+        right = scale * self.moment[at]
+        right[: self.base] += self.pull
+        root = cholesky(matrix, lower=True, check_finite=False)
+        solved = solve_triangular(root, right, lower=True, check_finite=False)
+        return at, scale, right, solved, root

@@ -1,0 +1,145 @@
+"""What is named: the probability of every cause of a set, and of all that may be in its place."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from hd_diag.diagnosis.evidence.calibration import (
+    CERTAIN_SIZE,
+    CLASS_SHARE,
+    LEAST_SIZE,
+    MOST_ALIKE,
+    NAMED,
+    UNPROVED,
+)
+from hd_diag.diagnosis.evidence.search import Found
+from hd_diag.diagnosis.evidence.sets import Set
+from hd_diag.diagnosis.fit.design import solve
+from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
+from hd_diag.diagnosis.fit.present_effects import Item
+from hd_diag.formatting import ARCSEC, words
+
+
+@dataclass(frozen=True)
+class Standing:
+    """How sure a cause is.
+
+    Attributes
+    ----------
+    values : dict
+        Log odds by name: with the cause, with others in its place, with none under the empty name.
+    known : frozenset of str
+        Names of causes; the others are shapes that no cause is known of.
+    own, deviation : float
+        Rms of its part that parameters and other causes leave, and its deviation by noise [rad].
+    """
+
+    values: Mapping[str, float]
+    known: frozenset[str]
+    own: float
+    deviation: float
+
+    @cached_property
+    def _class(self) -> tuple[tuple[str, ...], float, float]:
+        return in_class(self.values, self.known)
+
+    @property
+    def alike(self) -> tuple[str, ...]:
+        """Its class: names that hold 99 % of the causes' probability together, the most probable first."""
+        return self._class[0]
+
+    @property
+    def probability(self) -> float:
+        """That one of these is there."""
+        return self._class[1]
+
+    @property
+    def chance(self) -> float:
+        """That none is: of the best set with none in the cause's place."""
+        return self._class[2]
+
+    @property
+    def doubt(self) -> str:
+        """The first reason for which the class is not named; empty where there is none."""
+        if len(self.values) < 2:
+            return "there was no time to weigh it"
+        if self.probability < NAMED:
+            return f"its probability is {100.0 * self.probability:.3g} %, of {100.0 * NAMED:.0f} % asked for"
+        if self.own - CERTAIN_SIZE * self.deviation < LEAST_SIZE:
+            return (
+                f"what it alone explains is {self.own / ARCSEC:.2f} arcsec rms, "
+                f"and {LEAST_SIZE / ARCSEC:.2f} arcsec for certain are asked for"
+            )
+        if len(self.alike) > MOST_ALIKE:
+            return f"{len(self.alike)} causes explain it alike: {', '.join(map(words, self.alike))}"
+        return ""
+
+    def beside(self, misfit: float) -> Standing:
+        """Where so many times the noise is left: evidence is overstated by the square of that.
+
+        As deviations are by itself (Birge, Phys. Rev. 40, 1932).
+        """
+        most = max(self.values.values())
+        share = max(misfit, 1.0) ** -2.0
+        weaker = {name: most + share * (value - most) for name, value in self.values.items()}
+        return replace(self, values=weaker, deviation=self.deviation * max(misfit, 1.0))
+
+
+def standings(found: Found) -> dict[str, Standing]:
+    """How sure every cause of the best set is, by name."""
+    return {effect.name: _standing(found, (effect, nonlinear)) for effect, nonlinear in found.best.causes}
+
+
+def _standing(found: Found, item: Item) -> Standing:
+    best, effect = found.best, item[0]
+    values = {**found.instead.get(effect.name, {}), effect.name: 0.0}
+    if len(values) > 1:
+        for name in effect.always_confused:
+            values[name] = 0.0
+        values |= {
+            name: 0.0 for name in values if name and values[name] > -UNPROVED and _is_unproved(best, name)
+        }
+    others = tuple(one for one in (*best.fit.data.given, *best.causes) if one[0].name != effect.name)
+    known = frozenset(one.name for one in best.fit.data.searched)
+    return Standing(values, known, *own_size(best.fit, best.chosen, others, item))
+
+
+def _is_unproved(best: Set, name: str) -> bool:
+    """Whether the motion cannot show a cause for itself: then it may be there whatever fits better."""
+    effect = next((one for one in best.fit.data.searched if one.name == name), None)
+    return effect is not None and not best.fit.data.testable(effect)[0]
+
+
+def in_class(values: Mapping[str, float], known: Collection[str]) -> tuple[tuple[str, ...], float, float]:
+    """The fewest known causes that hold nearly all the weight of those known, their share, and that of none.
+
+    `values` are log odds by name, that of no cause under the empty one.
+    """
+    most = max(values.values())
+    weight = {name: math.exp(value - most) for name, value in values.items()}
+    total, named = sum(weight.values()), sorted(weight.keys() & set(known), key=lambda name: -weight[name])
+    wanted, alike, held = CLASS_SHARE * sum(weight[name] for name in named), list[str](), 0.0
+    for name in named:
+        if held >= wanted:
+            break
+        alike.append(name)
+        held += weight[name]
+    return tuple(alike), held / total, weight.get("", 0.0) / total
+
+
+def own_size(fit: LinearisedFit, chosen: Chosen, others: Chosen, item: Item) -> tuple[float, float]:
+    """Rms of what parameters and other effects leave of a chosen effect's part, and its deviation [rad]."""
+    place = fit.places(chosen)[chosen.index(item)]
+    part = fit.columns(*item) @ fit.fit(chosen)[0][place]
+    fixed = np.concatenate((fit.always(), fit.joined(others)), axis=1)
+    white = fit.whiten(part, fit.data.run)
+    moment = [one.T @ white for one in (fit.always_white, *(fit.white(*other) for other in others))]
+    rest = part - fixed @ solve(fit.design(others).whole[0], np.concatenate(moment))
+    own = float(np.std(rest))
+    information = float(np.linalg.norm(fit.whiten(rest, fit.data.run)))
+    return own, own / max(information, 1e-300)

@@ -1,0 +1,336 @@
+"""Search for the set of causes with the most evidence."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from hd_diag.arrays import Floats
+from hd_diag.diagnosis.evidence.calibration import NAMED
+from hd_diag.diagnosis.evidence.sets import Remainders, Set, presence
+from hd_diag.diagnosis.evidence.unmodelled_terms import OUTPUT_LINES, UNMODELLED_TERMS
+from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.fit.fit_parameters import alike
+from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
+from hd_diag.diagnosis.fit.present_effects import Item
+from hd_diag.diagnosis.fit.refit import DISTINCT, FEW_STARTS, distinct, refit
+from hd_diag.diagnosis.work import Work
+from hd_diag.effects.effect import Effect, Stage
+from hd_diag.effects.remainders import ORDERS, PLACE
+
+_MOST, _TURNS = 5, 12  # causes; turns of a search
+_RIVALS = 6  # of each cause, that are settled in its place
+_TRIED = 4  # candidates that are settled in each turn
+_NEAR = 0.5  # share of the best candidate's gain from which another is tried
+_OF_MODEL = ("torsional_hardening",)  # the torsion's own shape
+_ZERO, _TURNED = "torque_offset", 0.01  # share of the torques that another zero must put on the other flank
+_BY_TORQUE = ("friction", "torsion")
+_HOPELESS = 100.0  # log odds, beyond which another minimum is not followed
+_CLOSE = 10.0  # log odds, within which a set is settled before it is judged
+_NEARLY = 5.0  # the same, within which its nonlinear values are settled as well
+_PLAINLY = 25.0  # log odds on some rows, from which a cause holds on all
+_TO_MINIMUM = 5  # rounds of settling
+_FIRST, _TURN = 0.15, 0.6  # of the time, that is gone before; of what is left of the search, after each turn
+RESTARTS = 2  # causes, up to which each lets the parameters be searched for again
+
+
+SEARCHED = 0.6
+"""Share of the time that a diagnosis may take, by which the search must end."""
+
+FURTHER_CAUSES = "looking for further causes"
+"""What is left out where it has no more time."""
+
+
+class Candidate(NamedTuple):
+    """A cause at a point of its grid, and what it would bring where the fit stands [log odds]."""
+
+    name: str
+    item: Item
+    gain: float
+    widths: dict[str, float]
+
+
+def competes(fit: LinearisedFit, effect: Effect) -> bool:
+    """Whether an effect can be judged: what acts under a torque that was not measured cannot.
+
+    What the record cannot prove competes all the same: else the nearest of what it can would be named for it.
+    """
+    known = fit.data.source.has_torque
+    if fit.data.testable(effect)[0]:
+        return known or effect.stage != Stage.TORQUE
+    return known and effect.stage != Stage.NOWHERE
+
+
+def is_searched(fit: LinearisedFit, effect: Effect) -> bool:
+    """Whether a record can be searched for a cause.
+
+    By a motor's current what acts as torque is the motor's own. Parameters and the torsion's shape are none.
+    """
+    of_motor = effect.kind in _BY_TORQUE or effect.stage == Stage.TORQUE
+    return competes(fit, effect) and effect.name not in _OF_MODEL and not (fit.data.given and of_motor)
+
+
+def searched(fit: LinearisedFit) -> list[Effect]:
+    """Causes and shapes of no known cause that a record can be searched for."""
+    causes = [effect for effect in fit.data.searched if is_searched(fit, effect)]
+    return [*causes, *(term for term in UNMODELLED_TERMS if fit.data.testable(term)[0])]
+
+
+def candidates(at: Set) -> list[Candidate]:
+    """Every cause that is not in a set, at its best grid point beside it; the best first."""
+    fit, chosen = at.fit, at.chosen
+    rest = fit.remainder(chosen)
+    points: dict[str, tuple[Effect, tuple[float, ...]]] = {}
+    lines = [line.name for line in OUTPUT_LINES if line.name not in at.names][1:]  # alike: the first will do
+    for effect in searched(fit):
+        if effect.name in at.names or effect.name in lines:
+            continue
+        for number, nonlinear in enumerate(effect.starts(fit.signals, rest).points):
+            if fit.white(effect, nonlinear).shape[1]:
+                points[f"{effect.name}/{number}"] = (effect, nonlinear)
+    evidence = at.evidence(points.items())
+    now, best = evidence.log(at.widths), dict[str, Candidate]()
+    for widths in _smaller(at):
+        loss = now - evidence.log(widths)
+        for key, (gain, width) in evidence.gains(widths, points).items():
+            item = points[key]
+            whole = gain + presence(fit, item[0]) - loss
+            one = Candidate(item[0].name, item, whole, {**widths, item[0].name: width})
+            if one.name not in best or best[one.name].gain < one.gain:
+                best[one.name] = one
+    return sorted(best.values(), key=lambda one: -one.gain)
+
+
+def _smaller(at: Set) -> list[dict[str, float]]:
+    """Widths of a set, and with remainders that have grown back at their usual size: one, or all of them.
+
+    A remainder that has grown hides the cause that it grew for.
+    """
+    grown = [effect.name for effect, _ in at.remainders.items if at.widths[effect.name] > 1.0]
+    every = [dict(at.widths), *({**at.widths, name: 1.0} for name in grown)]
+    return every if len(grown) < 2 else [*every, {**at.widths, **dict.fromkeys(grown, 1.0)}]
+
+
+def begun(fit: LinearisedFit) -> Set:
+    """The set without causes where a fit stands, settled."""
+    drive = fit.data.configured
+    slope = np.abs(fit.data.model.at(fit_parameters.vector(drive, drive)).signals.predicted_torque_slope)
+    finite = slope[np.isfinite(slope)]  # it is without end in the gap between the flanks
+    compliance = float(np.median(finite)) if finite.size else 0.0
+    start = Set(fit, Remainders.of(fit.data.source, compliance), ())
+    return start.valued().settled()
+
+
+Instead = dict[str, dict[str, float]]
+
+
+@dataclass(frozen=True)
+class Found:
+    """The best set of causes, and what else was weighed against it.
+
+    Attributes
+    ----------
+    best : Set
+    rivals : tuple of Set
+        The same causes at other minima of the parameters that are nearly as good.
+    instead : dict
+        Of each cause by name: log odds of sets with another in its place, by that one's name; with none in
+        its place, by the empty name.
+    """
+
+    best: Set
+    rivals: tuple[Set, ...] = ()
+    instead: Instead = field(default_factory=dict)
+
+
+def search(
+    starts: list[LinearisedFit], every: LinearisedFit, rng: np.random.Generator, torque_zero: float = 0.0
+) -> Found:
+    """The best set of causes, and what other minima of the parameters make of it.
+
+    Parameters
+    ----------
+    starts : list of LinearisedFit
+        At minima of the parameters, on some rows: there causes are looked for.
+    every : LinearisedFit
+        On all rows: there what was found is weighed, and what is small is looked for.
+    rng : numpy.random.Generator
+        Chooses the samples of other starts.
+    torque_zero : float
+        The torque's zero by a fit from many starts [N m]: one that puts many torques on the other flank is
+        out of reach of steps from the reported torque.
+    """
+    work = every.work
+    first = begun(starts[0].with_noise(starts[0].data.given))
+    whiten = first.learned().whiten
+    minima = [begun(replace(start, whiten=whiten)) for start in starts]
+    if turned := _with_torque_zero(minima[0], torque_zero):
+        minima = [one.on(turned) for one in minima]
+        minima.append(turned)
+    minima.sort(key=lambda one: -one.value)
+    instead = Instead()
+    with work.until(SEARCHED, FURTHER_CAUSES):
+        for turn in range(_TURNS):
+            _tell(work, 0.0, turn, f"looking for cause {len(minima[0].causes) + 1}")
+            found, instead = _better(minima[0].clear().relearned(), {})
+            if found is None:
+                break
+            others = [one for one in minima if one.value > minima[0].value - _HOPELESS]
+            minima = _at_minima(found, others, rng)
+    best, known = minima[0].moved_to(every).settled(_TO_MINIMUM).relearned(), _plain(instead)
+    instead = known
+    with work.until(SEARCHED, FURTHER_CAUSES):
+        for turn in range(_TURNS):
+            _tell(work, 0.5, turn, "weighing causes on all rows")
+            now = best.clear().relearned()
+            found, instead = _better(now, known)
+            best = now if found is None else found
+            if found is None:
+                break
+    return Found(best, _rivals(minima, every), instead)
+
+
+def _tell(work: Work, half: float, turn: int, text: str) -> None:
+    """How far one half of a search is: each turn takes most of what is left."""
+    share = half + 0.5 * (1.0 - _TURN**turn)
+    work.tell(_FIRST + (SEARCHED - _FIRST) * share, text)
+
+
+def _better(now: Set, known: Instead) -> tuple[Set | None, Instead]:
+    """A set with one cause more, or another in the place of one; None where none is better.
+
+    Of some causes it may be `known` that nothing is.
+    """
+    found = _next(now) if len(now.causes) < _MOST else None
+    return (_fewer(found), known) if found is not None else _exchanged(now, known)
+
+
+def _plain(instead: Instead) -> Instead:
+    """Those of causes which hold so plainly on some rows that all rows need not be asked."""
+    return {name: odds for name, odds in instead.items() if max(odds.values()) < -_PLAINLY}
+
+
+def _rivals(minima: list[Set], every: LinearisedFit) -> tuple[Set, ...]:
+    """Other minima of the parameters than the best that do nearly as well with the same causes on all rows.
+
+    There log odds are as many times those on some rows.
+    """
+    best, *others = minima
+    least = best.value + math.log(1.0 - NAMED) * best.fit.data.at.size / every.data.at.size
+    near = [one for one in others if one.value > least and one.names == best.names]
+    return tuple(one for one in near if _is_beyond_valley(best, one))
+
+
+def _is_beyond_valley(best: Set, other: Set) -> bool:
+    """Whether another minimum is no place in the valley that the best one's covariance tells of."""
+    fit, own = best.fit, slice(best.fit.parameters.size)
+    spread = fit.fit(best.chosen)[1][own, own]
+    steps = (one - fit.parameters for one in alike(other.fit.parameters, fit.data.configured))
+    return min(float(step @ np.linalg.solve(spread, step)) for step in steps) > DISTINCT
+
+
+def _with_torque_zero(at: Set, zero: float) -> Set | None:
+    """With an offset of the torque as large as a zero, clear of both; None where few change flanks."""
+    torque = at.fit.data.record.torque
+    effect = next((one for one in searched(at.fit) if one.name == _ZERO), None)
+    if effect is None or np.mean((torque > 0.0) != (torque + zero > 0.0)) < _TURNED:
+        return None
+    item, widths = (effect, ()), {**at.widths, _ZERO: 1.0}
+    more = replace(at, causes=(item,), widths=widths)
+    there = replace(more, fit=more.fit.beside((*at.fit.present, (item, np.array([zero])))))
+    return there.clear().settled(8)
+
+
+def _exchanged(now: Set, known: Instead) -> tuple[Set | None, Instead]:
+    """A better set with another cause in the place of one, if there is any; and what was weighed for each."""
+    instead = Instead()
+    for effect, nonlinear in now.causes:
+        if effect.name in known:
+            instead[effect.name] = known[effect.name]
+            continue
+        without = now.without(effect.name).settled()
+        trials, itself = [without], (effect.name, _choices(effect, nonlinear))
+        for one in candidates(without)[:_RIVALS]:
+            other = one.name, _choices(*one.item)
+            if other != itself and without.value + one.gain > now.value - _CLOSE:
+                there = without.beside(one.item, one.widths).settled()
+                there = there.polished() if there.value > now.value - _NEARLY else there
+                trials += [there] if there.sensible else []
+        best = max(trials, key=lambda one: one.value)
+        if best.value > now.value:
+            return best, {}
+        odds = {"".join(one.names - without.names): one.value - now.value for one in trials}
+        instead[effect.name] = odds | {"": max(odds[""], without.by_own_noise() - now.by_own_noise())}
+    return None, instead
+
+
+def _choices(effect: Effect, nonlinear: tuple[float, ...]) -> tuple[float, ...]:
+    """The discrete ones of an effect's nonlinear values: which tooth, which form."""
+    pairs = zip(effect.nonlinear, nonlinear, strict=True)
+    return tuple(value for quantity, value in pairs if quantity.discrete)
+
+
+def _at_minima(found: Set, others: list[Set], rng: np.random.Generator) -> list[Set]:
+    """The same causes from other minima of the parameters, and from a global search; the best first."""
+    own = found.fit.data.configured
+    points = [found.fit.parameters]
+    sets = [found]
+    if len(found.causes) <= RESTARTS and _may_be_elsewhere(found):
+        others = [*others, found.at(restarted(found, rng))]
+    for other in others:
+        if len(distinct([*points, other.fit.parameters], own)) > len(points):
+            points.append(other.fit.parameters)
+            there = found.at(other.fit.parameters).settled()
+            if there.sensible:
+                sets.append(there)
+    return sorted(sets, key=lambda one: -one.value)
+
+
+def _next(now: Set) -> Set | None:
+    """The set with one cause more, settled; None where none brings more than it costs."""
+    ranked = [one for one in candidates(now) if one.gain > 0.0]
+    if not ranked:
+        return None
+    best = ranked[0].gain
+    near = [one for one in ranked[:_TRIED] if one.gain > min(_NEAR * best, best - _CLOSE)]
+    trials = [now.beside(one.item, one.widths).settled() for one in near]
+    trials = [one for one in trials if one.sensible]
+    best = max((one.value for one in trials), default=0.0)
+    trials = [one.polished() for one in trials if one.value > best - _NEARLY]
+    trials = [one for one in trials if one.sensible]
+    best_set = max(trials, key=lambda one: one.value, default=None)
+    return best_set if best_set is not None and best_set.value > now.value else None
+
+
+def _may_be_elsewhere(at: Set) -> bool:
+    """Whether another minimum may do better: one of a displacement that a line stands for, or in a misfit.
+
+    Where columns that any cause may look like explain no more than noise gives them, no other minimum can.
+    """
+    if any(at.widths[effect.name] > 1.0 for effect in (*ORDERS, PLACE)):
+        return True
+    more, here = at.fit.flexible(), at.fit.deviance(at.chosen)
+    return here - at.fit.deviance(at.chosen, more) > more.shape[1] + DISTINCT
+
+
+def restarted(at: Set, rng: np.random.Generator) -> Floats:
+    """Parameters (p,) that a global search leads to, the causes of a set taking part freely."""
+    fit, own = at.fit, at.fit.data
+    extra = fit.joined(at.causes)
+    more = fit.effects.torque(fit.sized(at.chosen, fit.fit(at.chosen)[0]))[own.at]
+    record = replace(own.record, torque=own.record.torque + more)
+    return refit(record, own.configured, rng, extra, fit.parameters, FEW_STARTS, held=fit.held).parameters
+
+
+def _fewer(at: Set) -> Set:
+    """Without causes that cost more than they bring beside the others."""
+    evidence = at.evidence()
+    for effect, _ in at.causes[:-1]:
+        rest = {name: width for name, width in at.widths.items() if name != effect.name}
+        loss = at.value - at.presence - evidence.tuned(rest)[0] + presence(at.fit, effect)
+        if loss < _CLOSE and (fewer := at.without(effect.name).settled()).value > at.value:
+            return _fewer(fewer)
+    return at

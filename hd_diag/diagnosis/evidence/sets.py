@@ -1,0 +1,213 @@
+"""Sets of causes beside the remainders of any joint, settled in a fit, with their evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hd_diag.arrays import Floats
+from hd_diag.diagnosis.evidence import calibration
+from hd_diag.diagnosis.evidence.evidence import Evidence
+from hd_diag.diagnosis.fit.design import projection
+from hd_diag.diagnosis.fit.joint_refinement import free, polished, sensible, settle
+from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
+from hd_diag.diagnosis.fit.present_effects import Item
+from hd_diag.diagnosis.noise import whitening
+from hd_diag.diagnosis.record import Record
+from hd_diag.effects.effect import Effect
+from hd_diag.effects.remainders import ORDERS, PLACE, SPEED, TIME, TORQUE, Remainder
+
+Widths = Mapping[str, float]
+
+_WANDERING = 0.3  # of a cause's usual size, that its size may wander by
+
+
+@dataclass(frozen=True)
+class Remainders:
+    """What is usual of every remainder in a record: the effects at their usual size and range."""
+
+    items: Chosen
+
+    @staticmethod
+    def of(record: Record, compliance: float) -> Remainders:
+        """For a record, beside a drive of some mean compliance [rad/(N m)]."""
+        usual = {
+            TORQUE: (calibration.USUAL_TORSION * compliance, _range(record.torque)),
+            SPEED: (calibration.USUAL_SPEED, _range(record.speed)),
+            PLACE: (calibration.USUAL_PLACE, _range(record.torque)),
+            TIME: (calibration.USUAL_DRIFT, (float(record.time[0]), float(record.time[-1]))),
+            **{line: (calibration.USUAL_LINE, _range(record.torque)) for line in ORDERS},
+        }
+        return Remainders(tuple((effect, (size, *ends)) for effect, (size, ends) in usual.items()))
+
+    def at(self, widths: Widths) -> Chosen:
+        """The same at sizes of so many times the usual one."""
+        return tuple((effect, (widths[effect.name] * size, *ends)) for effect, (size, *ends) in self.items)
+
+
+def _range(values: Floats) -> tuple[float, float]:
+    return min(float(values.min()), 0.0), max(float(values.max()), 0.0)
+
+
+@dataclass(frozen=True)
+class Set:
+    """Causes beside remainders, settled.
+
+    Attributes
+    ----------
+    fit : LinearisedFit
+        At the parameters and sizes that fit.
+    remainders : Remainders
+    causes : tuple of (Effect, nonlinear values)
+    widths : dict
+        Prior widths over the usual size, of remainders and causes by name.
+    value : float
+        Log evidence with the priors of presence.
+    rounds : int
+        Of settling, at most.
+    """
+
+    fit: LinearisedFit
+    remainders: Remainders
+    causes: Chosen
+    widths: Widths = field(default_factory=dict)
+    value: float = -np.inf
+    rounds: int = 3
+
+    @property
+    def given(self) -> Chosen:
+        """What is no cause: remainders, and what a motor takes of its current."""
+        return (*self.remainders.at(self.widths), *self.fit.data.given)
+
+    @property
+    def chosen(self) -> Chosen:
+        """All that is fitted beside the model's parameters."""
+        return (*self.given, *self.causes)
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Of the causes."""
+        return frozenset(effect.name for effect, _ in self.causes)
+
+    def evidence(self, candidates: Iterable[tuple[str, Item]] = ()) -> Evidence:
+        """Normal equations of the set and of candidates, by names; those of the set by the effect's."""
+        fit = self.fit
+        own = [
+            (effect.name, (effect, nonlinear)) for effect, nonlinear in (*self.remainders.items, *self.causes)
+        ]
+        fixed = fit.data.given
+        precision, pull = fit.prior(fixed)
+        columns = [fit.always_white, *(fit.white(*item) for item in fixed)]
+        groups = [_group(fit, name, item) for name, item in (*own, *candidates)]
+        return Evidence.of(columns, fit.residual_white, precision, pull, groups)
+
+    def valued(self) -> Set:
+        """With the best widths and the evidence where the fit stands."""
+        start = {
+            effect.name: self.widths.get(effect.name, 1.0)
+            for effect, _ in (*self.remainders.items, *self.causes)
+        }
+        log, widths = self.evidence().tuned(start)
+        return replace(self, widths=widths, value=log + self.presence)
+
+    @property
+    def presence(self) -> float:
+        """Prior log odds of the causes, each at one of so many grid points."""
+        return sum(presence(self.fit, effect) for effect, _ in self.causes)
+
+    def settled(self, rounds: int = 0) -> Set:
+        """Moved to the best parameters and sizes, widths tuned there."""
+        found = self if self.widths else self.valued()
+        chosen = found.chosen
+        return replace(
+            found, fit=settle(found.fit.corrected(chosen), chosen, rounds or self.rounds, learn=False)
+        ).valued()
+
+    def polished(self, rounds: int = 2) -> Set:
+        """Moved to the best nonlinear values of all causes, parameters and sizes with them."""
+        if not any(free(effect) for effect, _ in self.causes):
+            return self
+        fit, chosen = polished(self.fit, self.chosen, rounds)
+        better = replace(self, fit=fit, causes=chosen[len(self.given) :]).valued()
+        return better if better.value > self.value else self
+
+    def by_own_noise(self) -> float:
+        """Log evidence with the noise of what it leaves: beside a cause slow noise looks like the cause."""
+        own = replace(self.fit, whiten=whitening(self.fit.remainder(self.chosen), self.fit.data.run))
+        rows, scale = np.count_nonzero(own.residual_white), own.whiten.scale
+        log = replace(self, fit=own).evidence().log(self.widths)
+        return log + self.presence - calibration.TEMPER * rows * float(np.log(scale))
+
+    def relearned(self) -> Set:
+        """With noise learned beside it, valued anew: the evidence of other noise is not comparable."""
+        return replace(self, fit=self.learned().corrected(self.chosen)).valued()
+
+    def learned(self) -> LinearisedFit:
+        """The fit with the noise of what it leaves beyond all that any cause may look like."""
+        fit, rest = self.fit, self.fit.remainder(self.chosen)
+        wide = np.concatenate((fit.always(), fit.flexible()), axis=1)
+        return replace(fit, whiten=fit.data.whitening_of(rest - projection(wide, rest)))
+
+    def beside(self, item: Item, widths: Widths) -> Set:
+        """With one cause more, at the size that fits with some widths; not settled."""
+        more = replace(self, causes=(*self.causes, item), widths=widths)
+        return replace(more, fit=more.fit.corrected(more.chosen))
+
+    def without(self, name: str) -> Set:
+        """Without one cause; not settled."""
+        causes = tuple(item for item in self.causes if item[0].name != name)
+        widths = {one: width for one, width in self.widths.items() if one != name}
+        fewer = replace(self, causes=causes, widths=widths)
+        return replace(fewer, fit=fewer.fit.corrected(fewer.chosen))
+
+    def clear(self) -> Set:
+        """On rows where no torque that its causes leave may be near zero; valued anew if these are fewer."""
+        sized = self.fit.sized(self.chosen, self.fit.fit(self.chosen)[0])
+        fit = self.fit.clear_of(self.fit.effects.possible_torques(sized))
+        return self if fit is self.fit else replace(self, fit=fit.beside(sized)).valued()
+
+    def on(self, other: Set) -> Set:
+        """On the rows and with the noise of another set."""
+        fit = replace(self.fit, data=other.fit.data, whiten=other.fit.whiten)
+        return replace(self, fit=fit.beside(self.fit.present)).valued()
+
+    def moved_to(self, fit: LinearisedFit) -> Set:
+        """On other rows of the record, with the noise that is known."""
+        there = replace(fit, whiten=self.fit.whiten).moved(self.fit.parameters)
+        sized = self.fit.sized(self.chosen, self.fit.fit(self.chosen)[0])
+        there = there.clear_of(there.effects.possible_torques(sized)).beside(sized)
+        return replace(self, fit=there, rounds=1)
+
+    def at(self, parameters: Floats) -> Set:
+        """At other parameters (p,), with the same sizes; not settled."""
+        return replace(self, fit=self.fit.moved(parameters).beside(self.fit.present))
+
+    @property
+    def sensible(self) -> bool:
+        """Whether every cause is itself at its size."""
+        return all(sensible(self.fit, self.chosen))
+
+
+def presence(fit: LinearisedFit, effect: Effect) -> float:
+    """Prior log odds of a cause at one of its grid points."""
+    if effect.given or isinstance(effect, Remainder):
+        return 0.0
+    known = calibration.PRESENT if effect.searched and effect.inspect else calibration.UNKNOWN
+    return known - float(np.log(max(effect.starts(fit.signals).trials, 1)))
+
+
+def _group(fit: LinearisedFit, name: str, item: Item) -> tuple[str, Floats, Floats, tuple[float, ...], float]:
+    effect, _ = item
+    white = fit.white(*item)
+    if effect.standard:
+        return name, white, np.ones(white.shape[1]), calibration.LARGER_BY, calibration.LARGER
+    usual = np.full(white.shape[1], _WANDERING * float(effect.usual[0]))
+    usual[: effect.size] = effect.usual[: white.shape[1]]
+    return name, white, usual, calibration.SIZES, 0.0
+
+
+def rows_of(chosen: Sequence[Item]) -> list[str]:
+    """Names of effects."""
+    return [effect.name for effect, _ in chosen]

@@ -1,1 +1,0 @@
-"""Search for causes: candidates ranked, accepted, refined; what remains unexplained."""

@@ -1,0 +1,251 @@
+"""Remainders of any joint: what their columns are, beyond their range as well, and models that hold them."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import drives
+import numpy as np
+import pytest
+from models import OFFSET, RANGES, model, motion, own
+from numpy.testing import assert_allclose, assert_array_equal
+
+from hd_diag.config.configuration import ConfigError
+from hd_diag.config.model_file import document, model_for, write
+from hd_diag.drive import Drive
+from hd_diag.effects.contact_weights import contact_weights
+from hd_diag.effects.effect import Values
+from hd_diag.effects.remainders import LINES, ORDERS, PLACE, REMAINDERS, SPEED, TIME, TORQUE, Remainder
+from hd_diag.effects.signals import Signals
+from hd_diag.extended_model import ExtendedModel, Term
+from hd_diag.formatting import ARCSEC
+from hd_diag.model.transmission_error import Kinematics
+
+CHUNK_TOLERANCE = 1e-12  # [rad]
+FILE_TOLERANCE = 1e-9  # [rad]
+SIZE = 3.0
+SATURATED = 1e-6  # what friction still grows by beyond three quarters of the top speed
+DRIVE = Drive(drives.mesh(), Kinematics(100.0), 56.0)
+RANGE = {
+    TORQUE: (-40.0, 50.0),
+    SPEED: (-60.0, 80.0),
+    PLACE: (-40.0, 50.0),
+    TIME: (0.0, 60.0),
+} | dict.fromkeys(ORDERS, (-40.0, 50.0))
+COUNT = {TORQUE: 16, SPEED: 6, PLACE: 12, TIME: 10} | dict.fromkeys(ORDERS, 8)
+ALONG = {TORQUE: "torque", SPEED: "speed", PLACE: "torque", TIME: "time"} | dict.fromkeys(ORDERS, "torque")
+LASTING = tuple(one for one in REMAINDERS if one.lasting)
+
+
+def signals(count: int = 301, **given: np.ndarray) -> Signals:
+    """A minute inside all ranges, up to their ends, with what is given in its place."""
+    share = np.linspace(0.0, 1.0, count)
+    turned = 2.0 * np.pi * 7.3 * share
+    columns = {
+        "time": 60.0 * share,
+        "wave_generator_angle": turned,
+        "output_angle": turned / 20.0,
+        "speed": -60.0 + 140.0 * share,
+        "torque": -40.0 + 90.0 * share,
+    } | given
+    unknown = np.full(count, np.nan)
+    return Signals(
+        **columns,
+        temperature=None,
+        run=np.zeros(count, dtype=np.int64),
+        predicted=unknown,
+        predicted_torque_slope=unknown,
+        predicted_rate=unknown,
+        contact=contact_weights(DRIVE, columns["wave_generator_angle"], columns["torque"]),
+    )
+
+
+INSIDE = signals()
+
+
+def columns(effect: Remainder, given: Signals = INSIDE, size: float = SIZE) -> np.ndarray:
+    return effect.columns(given, (size, *RANGE[effect]))
+
+
+@pytest.fixture(params=REMAINDERS, ids=lambda one: one.name)
+def effect(request: pytest.FixtureRequest) -> Remainder:
+    return request.param
+
+
+# Columns ---
+
+
+def test_a_column_stands_for_each_coefficient(effect: Remainder) -> None:
+    found = columns(effect)
+    assert found.shape == (INSIDE.size, effect.size) == (INSIDE.size, COUNT[effect])
+    assert np.isfinite(found).all()
+    assert effect.nonlinear[0].name == "size"
+    assert_array_equal(effect.usual, np.ones(effect.size))
+    assert np.ptp(found, axis=0).min() > 0.0
+
+
+def test_columns_are_of_order_one_times_the_size(effect: Remainder) -> None:
+    """A torsion's are as large as a segment of the torque."""
+    most, limit = np.abs(columns(effect)).max(), SIZE * (50.0 / 8 if effect is TORQUE else 1.0)
+    assert 0.95 * limit < most < (1.0 + 1e-12) * limit
+    assert_allclose(columns(effect, size=5.0 * SIZE), 5.0 * columns(effect), rtol=1e-12)
+
+
+def test_units_are_those_of_what_it_goes_by(effect: Remainder) -> None:
+    """In other units of torque and speed the shape is the same; of a compliance it goes with the torque."""
+    size, low, high = effect.nonlinear
+    unit = {"torque": "N m", "speed": "rad/s", "time": "s"}[ALONG[effect]]
+    assert (low.unit, high.unit) == (unit, unit)
+    assert size.unit == ("rad/(N m)" if effect is TORQUE else "rad")
+    assert {one.unit for one in effect.linear} == {"-"}
+    if effect is not TIME:
+        scaled = dataclasses.replace(INSIDE, torque=7.0 * INSIDE.torque, speed=7.0 * INSIDE.speed)
+        found = effect.columns(scaled, (SIZE, *(7.0 * end for end in RANGE[effect])))
+        assert_allclose(found, columns(effect) * (7.0 if effect is TORQUE else 1.0), rtol=1e-9, atol=1e-12)
+
+
+def test_it_is_computed_from_what_it_says(effect: Remainder) -> None:
+    """Other signals change nothing."""
+    names = {"time", "wave_generator_angle", "output_angle", "speed", "torque"} - set(effect.needs)
+    other = dataclasses.replace(INSIDE, **{name: getattr(INSIDE, name)[::-1] for name in names})
+    assert_array_equal(columns(effect, other), columns(effect))
+
+
+def beyond(effect: Remainder, end: float, past: float) -> tuple[np.ndarray, np.ndarray]:
+    """Columns at an end of the range and past it, all else alike."""
+    there, further = (
+        dataclasses.replace(INSIDE, **{ALONG[effect]: np.full(INSIDE.size, x)}) for x in (end, past)
+    )
+    return columns(effect, there), columns(effect, further)
+
+
+@pytest.mark.parametrize("factor", [1.01, 3.0])
+@pytest.mark.parametrize("side", [0, 1])
+def test_beyond_its_range_it_goes_on_as_it_ends(effect: Remainder, side: int, factor: float) -> None:
+    """A torsion at the slope of its last segment, a line as at the greatest torque of either sign."""
+    end = 50.0 if effect in (PLACE, *ORDERS) else RANGE[effect][side]
+    end = -end if effect in (PLACE, *ORDERS) and side == 0 else end
+    past = end + (factor - 1.0) * (100.0 if side else -100.0)
+    at, further = beyond(effect, end, past)
+    if effect is TORQUE:
+        more = np.zeros(16)
+        more[7 if side else 15] = SIZE * (past - end)
+        assert_allclose(further - at, np.broadcast_to(more, at.shape), atol=1e-9)
+    else:
+        assert_allclose(further, at, rtol=0.0, atol=SIZE * SATURATED)
+
+
+def test_segments_of_the_torque_sum_to_the_torque() -> None:
+    torque = np.linspace(-120.0, 150.0, INSIDE.size)
+    found = columns(TORQUE, dataclasses.replace(INSIDE, torque=torque))
+    assert_allclose(found.sum(axis=1), SIZE * torque, rtol=1e-12, atol=1e-12)
+    assert np.count_nonzero(found[torque > 0.0][:, 8:]) == np.count_nonzero(found[torque < 0.0][:, :8]) == 0
+    inside = (torque > 0.0) & (torque < 50.0)
+    assert found[inside].max(axis=0)[:8] == pytest.approx(SIZE * 50.0 / 8, rel=0.2)
+
+
+def test_a_torque_of_one_sign_has_no_segments_of_the_other() -> None:
+    found = TORQUE.columns(INSIDE, (SIZE, 0.0, 50.0))
+    assert np.ptp(found[:, :8], axis=0).min() > 0.0
+    assert not found[:, 8:].any()
+
+
+def test_friction_changes_its_sign_with_the_direction() -> None:
+    speed = np.array([-60.0, -8.0, 0.0, 8.0, 60.0])
+    found = columns(SPEED, signals(5, speed=speed), 1.0)
+    assert_allclose(found[:, :2], np.tanh(speed[:, None] / (80.0 * np.array([0.02, 0.1]))), rtol=1e-12)
+    assert_allclose(found[:, :4], -found[::-1, :4], atol=1e-15)  # odd, and the others even
+    assert_allclose(found[:, 4:], found[::-1, 4:], atol=1e-15)
+
+
+def test_a_place_has_three_waves_of_the_output_evenly_and_with_the_torque() -> None:
+    found, angle = columns(PLACE, size=1.0), INSIDE.output_angle
+    waves = np.stack([f(k * angle) for k in (1, 2, 3) for f in (np.cos, np.sin)], axis=1)
+    assert_allclose(found[:, :6], waves, atol=1e-12)
+    assert_allclose(found[:, 6:], waves * INSIDE.torque[:, None] / 50.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("seconds", [0.0, 2.0, 4.9])
+def test_a_record_of_seconds_has_no_drift(seconds: float) -> None:
+    short = signals(time=np.linspace(3.0, 3.0 + seconds, INSIDE.size))
+    assert not TIME.columns(short, (SIZE, 3.0, 3.0 + seconds)).any()
+
+
+@pytest.mark.parametrize(("seconds", "knots"), [(5.0, 2), (12.0, 3), (60.0, 10), (6000.0, 10)])
+def test_a_drift_has_knots_at_least_five_seconds_apart(seconds: float, knots: int) -> None:
+    long = signals(time=np.linspace(3.0, 3.0 + seconds, INSIDE.size))
+    found = TIME.columns(long, (1.0, 3.0, 3.0 + seconds))
+    assert np.count_nonzero(found.any(axis=0)) == knots
+    assert_allclose(found.sum(axis=1), 1.0, rtol=1e-12)
+    every = found[:, :knots] @ np.linspace(3.0, 3.0 + seconds, knots)
+    assert_allclose(every, long.time, rtol=1e-9)  # straight between them
+
+
+@pytest.mark.parametrize(("order", "effect"), list(zip(LINES, ORDERS, strict=True)))
+def test_a_line_changes_with_the_magnitude_of_the_torque(order: int, effect: Remainder) -> None:
+    found = columns(effect, size=1.0)
+    turned = order * INSIDE.wave_generator_angle
+    assert_allclose(found[:, :4].sum(axis=1), np.cos(turned), atol=1e-12)
+    assert_allclose(found[:, 4:].sum(axis=1), np.sin(turned), atol=1e-12)
+    load = np.abs(INSIDE.torque) / 50.0
+    amplitude = found[:, :4] @ np.linspace(0.0, 1.0, 4), found[:, 4:] @ np.linspace(0.0, 1.0, 4)
+    assert_allclose(np.hypot(*amplitude), load, atol=1e-12)
+    mirrored = columns(effect, dataclasses.replace(INSIDE, torque=-INSIDE.torque), 1.0)
+    assert_allclose(mirrored, found, atol=1e-15)
+
+
+# In a model ---
+
+
+def nonlinear(effect: Remainder) -> Values:
+    return (1e-7 if effect is TORQUE else 2.0 * ARCSEC, *RANGE[effect])
+
+
+def holding(*effects: Remainder) -> ExtendedModel:
+    """A refitted drive with remainders, of coefficients that differ."""
+    terms = tuple(
+        Term(one, tuple((np.arange(one.size) % 5 - 1.5).tolist()), nonlinear(one)) for one in effects
+    )
+    return ExtendedModel(model().drive, terms, OFFSET, RANGES)
+
+
+def run(made: ExtendedModel, at_once: bool, count: int = 200) -> np.ndarray:
+    time, angle, torque, heat = motion(count)
+    state, parts = made.start(), []
+    for low in [0] if at_once else range(count):
+        rows = slice(low, count if at_once else low + 1)
+        part, state = made.step(state, time[rows], angle[rows], None, torque[rows], heat[rows])
+        parts.append(part)
+    return np.concatenate(parts)
+
+
+@pytest.mark.parametrize("effects", [*zip(LASTING, strict=True), LASTING], ids=len)
+def test_row_by_row_a_model_runs_as_at_once(effects: tuple[Remainder, ...]) -> None:
+    made = holding(*effects)
+    whole = run(made, True)
+    assert_allclose(run(made, False), whole, rtol=0.0, atol=CHUNK_TOLERANCE)
+    assert np.std(whole - run(model(), True)) > 0.1 * ARCSEC
+
+
+def content(made: ExtendedModel) -> dict[str, object]:
+    effects = [({}, (term.effect.name,)) for term in made.effects]
+    return document("joint_1", own(), made, {}, effects, {"bags": [], "samples": 1}, "0")
+
+
+def test_a_file_holds_each_of_them(tmp_path: Path) -> None:
+    made, path = holding(*LASTING), tmp_path / "m.json"
+    write(path, content(made))
+    read = model_for(path.read_text(), own())
+    assert [term.effect.name for term in read.effects] == [one.name for one in LASTING]
+    assert [term.nonlinear for term in read.effects] == [nonlinear(one) for one in LASTING]
+    assert_allclose(run(read, True), run(made, True), rtol=0.0, atol=FILE_TOLERANCE)
+
+
+def test_a_file_holds_none_twice() -> None:
+    with pytest.raises(ConfigError, match="a name appears twice"):
+        model_for(json.dumps(content(holding(PLACE, PLACE))), own())
+
+
+def test_a_drift_is_of_one_record() -> None:
+    with pytest.raises(ConfigError, match="a running model cannot hold it"):
+        model_for(json.dumps(content(holding(TIME))), own())

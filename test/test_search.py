@@ -1,0 +1,391 @@
+"""Search for causes by evidence: which are named on small records, and what is no cause."""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from benches import CONFIGURED, EFFECTS, POINT, TRUE, Part, bench, chosen_set, of, solved, swinging
+from joint_records import ARCSEC, NOISE, RATIO, prepared
+from numpy.testing import assert_allclose
+
+from hd_diag.diagnosis import diagnosis
+from hd_diag.diagnosis.diagnosis import _NO_CAUSES, _described
+from hd_diag.diagnosis.evidence.naming import standings
+from hd_diag.diagnosis.evidence.search import _with_torque_zero, begun, candidates, restarted, search
+from hd_diag.diagnosis.evidence.solution import Solution, motor_deviations, parameters_of, solution
+from hd_diag.diagnosis.evidence.unexplained import with_table
+from hd_diag.diagnosis.evidence.unmodelled_terms import UNMODELLED_TERMS
+from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.fit.fit_parameters import COMPLIANCE, CUP, DATUM
+from hd_diag.diagnosis.fit.joint_refinement import settle
+from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
+from hd_diag.diagnosis.fit.refit import Refit, refit
+from hd_diag.diagnosis.gain import MISFIT, Rms, held_out, measured_gain
+from hd_diag.diagnosis.record import Record
+from hd_diag.drive import transmission_error
+from hd_diag.effects.effect import Stage
+from hd_diag.effects.signals import Signals
+
+(CREEP,) = (term for term in UNMODELLED_TERMS if term.name == "creep")
+
+
+class Search(NamedTuple):
+    """What was found, and which of it is named: classes by the cause's name."""
+
+    whole: Solution
+    named: dict[str, tuple[str, ...]]
+
+
+def searched(*starts: LinearisedFit) -> Search:
+    """On the rows of the first start, which are all."""
+    found = search([*starts], starts[0], np.random.default_rng(0))
+    standing = standings(found)
+    whole = with_table(solution(found.best, standing, np.random.default_rng(0)))
+    sure = {cause.effect.name: cause.alike for cause in whole.causes if not cause.standing.doubt}
+    return Search(whole, {name: alike for name, alike in sure.items() if not {*alike} & {*_NO_CAUSES}})
+
+
+def wave(order: float, size: float = 3.0) -> Part:
+    """Of some orders per output turn, a quarter of which is driven [arcsec]."""
+    return lambda signals: size * ARCSEC * np.cos(order * signals.output_angle - 1.0)
+
+
+def moved(record: Record, torque: np.ndarray, reported: np.ndarray | None = None, seed: int = 1) -> Record:
+    """The motion of a record under a torque, as true or as reported."""
+    output = record.input_angle / RATIO + transmission_error(TRUE, record.input_angle, torque)
+    output += NOISE * np.random.default_rng(seed).standard_normal(record.size)
+    shown = torque if reported is None else reported
+    return dataclasses.replace(record, torque=shown, reported_torque=shown, output_angle=output)
+
+
+FRICTION = {"friction": 2.0, "way": 0.2, "creep_speed": 0.5, "stribeck": 0.5, "stribeck_speed": 8.0}
+
+
+def shaped(name: str, sizes: list[float], nonlinear: tuple[float, ...] = ()) -> Part:
+    """An effect with its first coefficients of some sizes."""
+    effect = EFFECTS[name]
+    return lambda signals: effect.response(signals, np.pad(sizes, (0, effect.size - len(sizes))), nonlinear)
+
+
+OVAL = shaped("circular_spline_form", [0.0, 0.0, 1.44e-6, 1.08e-6], (1.0,))
+PITCH = shaped("circular_spline_pitch", [2e-6, 1e-6, 1.5e-6, 0.5e-6, 0.4e-6, 0.3e-6])
+HURT = next(p for p in EFFECTS["tooth_damage"].neighbours(bench().signals, (0.0, 2.0)) if p[0] == 0.0)
+AGAINST = {"bending_reach": 9.0, "sharpness": 1.6, "slipping_reach": 2.0, "spread": 1.5}
+
+
+def creeping(signals: Signals) -> np.ndarray:
+    return 10.0 * ARCSEC * CREEP.columns(signals, ())[:, 1]
+
+
+def warming() -> Record:
+    record = swinging()
+    return dataclasses.replace(record, temperature=np.linspace(25.0, 34.0, record.size))
+
+
+def walking(signals: Signals) -> np.ndarray:
+    steps = np.random.default_rng(0).standard_normal(2 * signals.size)
+    return 0.1 * ARCSEC * np.cumsum(steps)[: signals.size]
+
+
+def counting(output_step: float, input_step: float = 0.0) -> LinearisedFit:
+    """The record by encoders that count [rad]."""
+    record = swinging()
+    rounded = {
+        name: step * np.round(getattr(record, name) / step)
+        for name, step in (("output_angle", output_step), ("input_angle", input_step))
+        if step
+    }
+    return linearise(dataclasses.replace(record, **rounded), CONFIGURED, POINT).with_noise(())
+
+
+def arm(*parts: Part) -> LinearisedFit:
+    """Whose weight makes the torque: it goes with the output's position."""
+    record = swinging()
+    return bench(*parts, record=moved(record, 40.0 * np.cos(record.input_angle / RATIO + 0.6)))
+
+
+def late() -> LinearisedFit:
+    """Torque that is 15 ms late."""
+    record = swinging()
+    shown = np.interp(record.time - 0.015, record.time, record.torque)
+    return bench(record=dataclasses.replace(record, torque=shown, reported_torque=shown))
+
+
+def of_one_direction() -> LinearisedFit:
+    record = swinging()
+    angle = 60.0 * record.time + 5.0 * np.sin(record.time)
+    torque = 20.0 * np.sin(record.time)
+    output = angle / RATIO + transmission_error(TRUE, angle, torque + 3.0)
+    output += NOISE * np.random.default_rng(0).standard_normal(record.size)
+    return bench(record=prepared({"time": record.time, "input": angle, "output": output, "torque": torque}))
+
+
+CAUSES = {
+    "friction": (lambda: bench(of(EFFECTS["coulomb_windup"], **FRICTION)), {"coulomb_windup"}),
+    "viscous": (lambda: bench(of(EFFECTS["viscous_windup"], friction=1.5, exponent=1.0)), {"viscous_windup"}),
+    "a ball": (lambda: bench(wave(45.5)), {"bearing_passage"}),
+    "pitch": (lambda: bench(PITCH), {"circular_spline_pitch"}),
+    "a slot": (lambda: bench(shaped("tooth_damage", [2e-5, 2e-5], HURT)), {"tooth_damage"}),
+    "oval and zero": (
+        lambda: bench(OVAL, of(EFFECTS["torque_offset"], offset=-1.5)),
+        {"circular_spline_form", "torque_offset"},
+    ),
+    "warm": (
+        lambda: bench(of(EFFECTS["thermal_drift"], drift=2.0 * ARCSEC, lag=1.0), record=warming()),
+        {"thermal_drift"},
+    ),
+    "late": (lambda: bench(of(EFFECTS["stream_delay"], delay=2e-3)), {"stream_delay"}),
+    "off centre": (
+        lambda: arm(of(EFFECTS["output_runout"], amplitude=20.0 * ARCSEC, direction=0.3)),
+        {"output_runout"},
+    ),
+    "one direction": (of_one_direction, {"torque_offset", "coulomb_windup"}),
+}
+NONE = {
+    "noise": bench,
+    "lines": lambda: bench(wave(45.0), wave(87.0)),
+    "beside the gear's": lambda: bench(wave(99.0), wave(45.0)),
+    "beat": lambda: bench(wave(47.0), wave(49.0)),
+    "counts of the output": lambda: counting(6.0 * ARCSEC),
+    "counts of the input": lambda: counting(0.0, RATIO * 6.0 * ARCSEC),
+    "an arm that bends": lambda: arm(lambda signals: 3e-5 * (signals.torque / 40.0) ** 3),
+    "slow noise": lambda: bench(walking, record=swinging(5.0)),
+    "a filter": lambda: bench(
+        of(EFFECTS["hysteresis"], bending_amplitude=1e-4, slipping_amplitude=-9e-5, **AGAINST)
+    ),
+    "late torque": late,
+    "creep": lambda: bench(creeping, record=warming()),
+    "wear": lambda: bench(of(EFFECTS["wear_backlash"], clearance=8e-6)),
+    "hardening": lambda: bench(shaped("torsional_hardening", [-6e-6, 8e-6], (11.0, 30.0, 0.1))),
+}
+
+
+# Those of each that take long are slow.
+SLOW = {"pitch", "a slot", "oval and zero", "friction", "viscous", "off centre", "one direction"}
+SLOW |= {"beside the gear's", "wear"}
+
+
+def cases(names: dict[str, object]) -> list[object]:
+    return [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in names]
+
+
+@pytest.mark.parametrize("name", cases(CAUSES))
+def test_a_cause_is_named_and_no_other(name: str) -> None:
+    """It leads its class, or where a record cannot tell is in it with those that it might be."""
+    made, causes = CAUSES[name]
+    found = searched(made())
+    classes = [{*alike} for alike in found.named.values()]
+    assert len(classes) == (1 if name in ("one direction", "off centre") else len(causes))
+    assert set.union(*classes) >= causes
+    assert all(alike & causes for alike in classes)
+
+
+@pytest.mark.parametrize("name", cases(NONE))
+def test_what_is_no_cause_is_not_named(name: str) -> None:
+    assert searched(NONE[name]()).named == {}
+
+
+@pytest.mark.slow
+def test_numbers_of_a_friction_are_those_that_made_it() -> None:
+    (cause,) = searched(CAUSES["friction"][0]()).whole.causes
+    assert np.array([*cause.coefficients, *cause.nonlinear]) == pytest.approx([*FRICTION.values()], rel=0.3)
+    assert 0.5 < cause.gain_low < cause.gain < min(cause.gain_high, 1.0)
+    assert cause.standing.chance < 1e-12
+
+
+def test_lines_of_the_output_are_described() -> None:
+    """Fitted with all else, they stay in the remainder, and its table has them."""
+    table = searched(bench(wave(45.0), wave(87.0))).whole.table
+    assert sorted((row.order, row.frame) for row in table) == [(45.0, "output"), (87.0, "output")]
+    assert [row.amplitude / ARCSEC for row in table] == pytest.approx([3.0, 3.0], rel=0.1)
+
+
+# Candidates ---
+
+
+def test_the_cause_is_first_and_what_is_chosen_is_no_candidate() -> None:
+    loop = shaped("hysteresis", [1e-4, 6e-5], (9.0, 1.6, 2.0, 1.5))
+    at = begun(bench(loop))
+    first, *others = candidates(at)
+    assert first.name == "hysteresis"
+    assert first.gain > max(one.gain for one in others)
+    assert [first.gain, *(one.gain for one in others)] == sorted(
+        (c.gain for c in (first, *others)), reverse=True
+    )
+    beside = candidates(at.beside(first.item, first.widths).settled())
+    assert "hysteresis" not in {one.name for one in beside}
+    assert max(one.gain for one in beside) < 0.1 * first.gain
+
+
+def test_what_a_candidate_brings_is_the_evidence_of_the_set_with_it() -> None:
+    """Where the fit stands: not settled, its width the best of the grid."""
+    at = begun(bench(wave(45.5)))
+    best = candidates(at)[0]
+    evidence = at.evidence([("?", best.item)])
+    wider = {"?" if name == best.name else name: width for name, width in best.widths.items()}
+    gain = evidence.log(wider) - evidence.log(at.widths)
+    presence = at.beside(best.item, best.widths).presence - at.presence
+    assert best.gain == pytest.approx(gain + presence, abs=1e-6)
+
+
+def test_without_a_measured_torque_only_what_the_motion_proves_takes_part() -> None:
+    """What acts under a torque that nobody knows cannot be computed."""
+    record = dataclasses.replace(swinging(), has_torque=False)
+    blind = linearise(record, CONFIGURED, POINT).with_noise(())
+    found = {one.name for one in candidates(chosen_set(blind).valued())} & EFFECTS.keys()
+    proved = {effect.name for effect in blind.data.searched if blind.data.testable(effect)[0]}
+    proved -= {"torsional_hardening"}
+    assert found == {name for name in proved if EFFECTS[name].stage != Stage.TORQUE}
+    assert {"coulomb_windup", "thermal_drift", "input_encoder_eccentricity"} & found == {
+        "input_encoder_eccentricity"
+    }
+
+
+# Other minima, other zeros ---
+
+
+def test_parameters_are_searched_for_again_under_the_torque_that_friction_leaves() -> None:
+    """6 N m move the torque at which the flanks change, which no columns at wrong parameters know."""
+    record, dry = swinging(), EFFECTS["coulomb_windup"]
+    rubbing = moved(record, record.torque + 6.0 * np.tanh(record.speed / 2.0), record.torque)
+    fit = linearise(rubbing, CONFIGURED, fit_parameters.vector(CONFIGURED, CONFIGURED)).with_noise(())
+    found = restarted(chosen_set(fit, (dry, (0.003, 1.0, 0.5, 3.0))).valued(), np.random.default_rng(0))
+    assert found[DATUM] == pytest.approx(POINT[DATUM], abs=2.0)
+    assert found[:2] == pytest.approx(POINT[:2], abs=0.3)
+
+
+@pytest.mark.parametrize(("zero", "led"), [(-2.6, True), (-2e-3, False)])
+def test_a_zero_that_puts_torques_on_the_other_flank_is_tried_at_its_size(zero: float, led: bool) -> None:
+    """A joint that bears next to nothing, whose sensor is off by more than it bears."""
+    record = swinging()
+    real = 0.4 * np.sin(2.0 * np.pi * record.time / 5.3) - 0.3
+    at = begun(linearise(moved(record, real, real - zero, 0), CONFIGURED, POINT).with_noise(()))
+    found = _with_torque_zero(at, zero)
+    assert (found is not None) is led
+    if found is not None:
+        assert found.names == {"torque_offset"}
+        assert found.value > at.on(found).value + 10.0
+        assert np.abs(found.fit.parameters - POINT)[:4].max() < 1.0
+
+
+@pytest.mark.slow
+def test_parameters_that_imitate_a_delay_are_left_for_those_as_configured() -> None:
+    """Fitted without a large delay they are far off."""
+    away = np.array([-8.0, 9.0, 4.0, 0.0, 9.0, 2.0, 3.0])
+    late = bench(of(EFFECTS["stream_delay"], delay=5e-3))
+    found = searched(late.moved(POINT + away), late.moved(fit_parameters.vector(CONFIGURED, CONFIGURED)))
+    assert found.named == {"stream_delay": ("stream_delay",)}
+    assert np.abs(found.whole.fit.parameters - POINT)[:4].max() < 1.0
+
+
+@pytest.mark.slow  # a whole diagnosis
+def test_parameters_are_ambiguous_only_if_they_are_beside_all_causes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the causes several sets may fit alike: minima beside them decide."""
+
+    def doubtful(*given: Any, **named: Any) -> Refit:
+        return dataclasses.replace(refit(*given, **named), trustworthy=False)
+
+    monkeypatch.setattr(diagnosis, "refit", doubtful)
+    found = diagnosis.diagnose(swinging(8.0), CONFIGURED, np.random.default_rng(0))
+    assert found.refitted is not None
+    assert found.refitted.trustworthy
+
+
+# A motor's current ---
+
+
+@pytest.mark.slow
+def test_what_a_motor_needs_itself_is_no_cause() -> None:
+    """Current for torque: gain within its prior, friction and inertia relative to it; none is named.
+
+    The friction under load is that of the link's torque, which the current is more than.
+    """
+    record = swinging()
+    speed = np.gradient(record.input_angle, record.time)
+    rate = np.gradient(speed, record.time)
+    friction = (3.0 + 0.1 * np.abs(record.torque)) * np.tanh(speed / 2.0)
+    needed = record.torque + friction + 2.0 * rate / 100.0
+    by_current = dataclasses.replace(record, torque=needed, reported_torque=needed, by_current=True)
+    found = searched(bench(record=by_current))
+    fit, chosen = found.whole.fit, found.whole.chosen
+    assert found.named == {}
+    ((item, sized),) = (one for one in fit.sized(chosen, fit.fit(chosen)[0]) if one[0][0].given)
+    values = {name: value for name, (value, _) in item[0].to_physical(sized, item[1]).items()}
+    assert item[0].name == "motor_current"
+    gain = 1.0 + values["relative_error"]  # a stiffer gear with a larger constant is nearly as good
+    assert abs(gain - 1.0) < 2.0 * 0.2
+    assert values["friction"] / gain == pytest.approx(3.0, abs=0.15)
+    assert values["loaded_friction"] / gain == pytest.approx(0.1, abs=0.01)
+    assert values["inertia"] / gain == pytest.approx(2.0, abs=0.2)
+    assert np.std(fit.remainder(chosen)) < 1.05 * NOISE
+
+
+def test_stiffness_and_a_current_s_constant_are_open_by_one_factor() -> None:
+    """Twice the torque on half the compliance is the same error: every ± holds what the prior leaves."""
+    made = bench(record=dataclasses.replace(swinging(), by_current=True))
+    found = solved(settle(made, made.data.given))
+    parameters, covariance = parameters_of(found)
+    configured = fit_parameters.vector(CONFIGURED, CONFIGURED)
+    assert parameters[COMPLIANCE] == pytest.approx(configured[COMPLIANCE], rel=1e-9)
+    width = 0.15 * parameters[COMPLIANCE]
+    assert covariance[COMPLIANCE, COMPLIANCE] == pytest.approx(width**2, rel=1e-3)
+    assert covariance[CUP, COMPLIANCE] == pytest.approx(0.15 * parameters[CUP] * width, rel=1e-3)
+    fit = found.fit
+    deviations, (_, sized) = motor_deviations(found), fit.sized(found.chosen, fit.fit(found.chosen)[0])[0]
+    assert deviations["relative_error"] > 0.15 * (1.0 + sized[0]) > 0.1
+
+
+def test_friction_under_load_by_a_current_has_these_derivatives() -> None:
+    """`changes` against differences, where the torque behind the motor turns round too."""
+    effect, rng = EFFECTS["motor_current"], np.random.default_rng(0)
+    columns, size = rng.normal(0.0, 5.0, (500, 5)), np.array([0.2, 0.8, 0.05, 0.5, 0.1])
+    steps = 1e-7 * np.eye(5)
+    slopes = [
+        (effect.more(columns, size + step) - effect.more(columns, size - step)) / 2e-7 for step in steps
+    ]
+    assert effect.changes(columns, size) == pytest.approx(np.stack(slopes, axis=1), abs=1e-5)
+
+
+# What is left ---
+
+
+def test_what_creeps_does_so_between_fitted_rows_as_well() -> None:
+    record = swinging(40.0)
+    rows = np.abs(record.torque) > 5.0
+    whole, part = (linearise(record, CONFIGURED, POINT, rows=own) for own in (None, rows))
+    at = np.isin(whole.data.at, part.data.at)
+    assert 0 < at.sum() < at.size
+    assert_allclose(part.columns(CREEP, ()), whole.columns(CREEP, ())[at], rtol=1e-9)
+
+
+def slipping(signals: Signals) -> np.ndarray:
+    """A ball's wave whose phase wanders, of amplitude one (n,)."""
+    angle = signals.wave_generator_angle
+    way = np.cumsum(np.abs(np.diff(angle, prepend=angle[0])))
+    return np.cos(10.25 * angle + 2.5 * np.sin(4.0 * way / way[-1]))
+
+
+def test_a_ball_whose_phase_wanders_is_no_misfit_though_nothing_foretells_it() -> None:
+    """A model that runs knows the mean of its phase, as it knows no encoder's zero of the next record."""
+    ball, record = EFFECTS["bearing_passage"], swinging(40.0)
+    test, which = held_out(record)
+    added = 5.0 * ARCSEC * slipping(linearise(record, CONFIGURED, POINT).whole)
+    record = dataclasses.replace(record, output_angle=record.output_angle + added)
+    fit = settle(linearise(record, CONFIGURED, POINT, rows=~test), ((ball, (10.25, 1.0)),))
+    found, plain = solved(fit, (ball, (10.25, 1.0))), settle(fit, ())
+    every = linearise(record, CONFIGURED, fit.parameters).beside(fit.present)
+    rms, _ = measured_gain(record, test, which, plain, found, every, np.random.default_rng(0))
+    assert rms.extended > MISFIT * rms.noise
+    assert rms.misfit.value == pytest.approx(1.0, abs=0.1)
+    (said,) = _described(record, [], rms, True)
+    assert "wanders" in said.description
+
+
+def test_what_is_left_only_as_the_model_runs_is_said() -> None:
+    rms = Rms(*(ARCSEC * value for value in (9.0, 5.0, 1.5, 1.5, 1.0, 1.5, 1.0, 0.9, 1.1)))
+    assert not rms.misfit.suspected
+    (said,) = _described(swinging(), [], rms, False)
+    assert "only as the model runs" in said.description
+    assert said.amplitude == pytest.approx(np.sqrt(2.0 * (1.5**2 - 1.0)) * ARCSEC)
+    assert _described(swinging(), [], dataclasses.replace(rms, extended=1.2 * ARCSEC), False) == ()
