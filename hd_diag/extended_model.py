@@ -151,7 +151,7 @@ class ExtendedModel:
                 state.effects[index], seen, np.array(term.coefficients), term.nonlinear
             )
             added.append((term.effect, np.where(np.isfinite(part), part, 0.0)))
-        before = [part for effect, part in added if effect.stage < Stage.STREAM]
+        before = [part for effect, part in added if Stage.GEAR <= effect.stage < Stage.STREAM]
         streamed = float(own[-1] + sum(part[-1] for part in before))
         total: Floats = own + self.offset + sum(part for _, part in added)
         begun = not state.is_fresh or (speed is not None and bool(np.isfinite(speed[0])))

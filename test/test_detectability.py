@@ -119,7 +119,7 @@ def test_what_is_undecided_has_no_least_size_and_says_why() -> None:
 def test_what_the_parameters_imitate_is_told(name: str) -> None:
     """Compliances are a gain of the torque; the datum is the backlash."""
     assert (stated()[name].testable, stated()[name].reason) == (False, BY_PARAMETERS)
-    assert stated()[name].least_size > 5.0 * max(shown(stated()).values())
+    assert math.isnan(stated()[name].least_size)
 
 
 def test_what_a_remainder_imitates_is_told() -> None:

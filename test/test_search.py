@@ -261,7 +261,7 @@ def test_a_zero_that_puts_torques_on_the_other_flank_is_tried_at_its_size(zero: 
     record = swinging()
     real = 0.4 * np.sin(2.0 * np.pi * record.time / 5.3) - 0.3
     at = begun(linearise(moved(record, real, real - zero, 0), CONFIGURED, POINT).with_noise(()))
-    found = _with_torque_zero(at, zero)
+    found = _with_torque_zero(at.at(POINT), zero)
     assert (found is not None) is led
     if found is not None:
         assert found.names == {"torque_offset"}

@@ -87,7 +87,7 @@ def _tested(best: Set, evidence: Evidence, effect: Effect, point: Values, lackin
     by_odds = root / math.sqrt(max(float(np.trace(inner)) / effect.size, 1e-300))
     least = max(usual * by_odds, LEAST_SIZE / math.sqrt(max(share, 1e-12)))
     if share < _IMITATED:
-        return Detectability(effect.name, False, least, lacking or _BY_PARAMETERS)
+        return Detectability(effect.name, False, math.nan, lacking or _BY_PARAMETERS)
     if by_odds > _LARGE:
         return Detectability(effect.name, False, least, lacking or _imitated(best, evidence, effect))
     return Detectability(effect.name, True, least, "tested")

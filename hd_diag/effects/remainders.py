@@ -61,6 +61,11 @@ def _quantities(count: int, unit: str, of: str) -> tuple[Quantity, ...]:
     )
 
 
+def _inside(values: Floats, low: float, high: float) -> Floats:
+    """Values (n,) within a range about zero, over its greater end."""
+    return np.asarray(np.clip(values, low, high) / max(-low, high, 1e-9))
+
+
 def _torque(signals: Signals, low: float, high: float) -> Floats:
     """Torque within each segment: a compliance of its own there [N m], of either sign."""
     parts = []
@@ -74,22 +79,20 @@ def _torque(signals: Signals, low: float, high: float) -> Floats:
 
 
 def _speed(signals: Signals, low: float, high: float) -> Floats:
-    top = max(-low, high, 1e-9)
-    v = signals.forward_speed / top
-    inside = np.clip(v, low / top, high / top)
-    smooth = [inside, inside * np.abs(inside), np.abs(inside), inside**2]
+    v = _inside(signals.forward_speed, low, high)
+    smooth = [v, v * np.abs(v), np.abs(v), v**2]
     return np.stack([*(np.tanh(v / width) for width in _SIGNS), *smooth], axis=1)
 
 
 def _place(signals: Signals, low: float, high: float) -> Floats:
     """Waves of the output's turn, and the same times the torque over its greatest."""
-    load = np.clip(signals.torque / max(-low, high, 1e-9), -1.0, 1.0)
+    load = _inside(signals.torque, low, high)
     waves = [f(k * signals.output_angle) for k in _TURNS for f in (np.cos, np.sin)]
     return np.stack([*waves, *(load * wave for wave in waves)], axis=1)
 
 
 def _time(signals: Signals, low: float, high: float) -> Floats:
-    """Straight pieces between knots, zero in the middle of all."""
+    """Hats about knots, whose sum is one: straight pieces between these."""
     hats = np.zeros((signals.size, _KNOTS))
     pieces = min(int((high - low) / _SLOWEST), _KNOTS - 1)
     if pieces > 0:

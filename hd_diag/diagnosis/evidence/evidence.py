@@ -8,7 +8,7 @@ Neural Computation 4, 1992; Miller and Dunson, J. Am. Stat. Assoc. 114, 2019).
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,8 +17,7 @@ from scipy.linalg import cholesky, solve_triangular
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.evidence.calibration import TEMPER
 
-Key = Hashable
-Widths = Mapping[Key, float]
+Widths = Mapping[str, float]
 
 _WIDE = 1e-2  # prior deviation of the encoders' zeros [rad]: as good as free
 _ROUNDS = 4  # of a search for the best widths
@@ -69,7 +68,7 @@ class Evidence:
     square: float
     base: int
     pull: Floats
-    groups: dict[Key, Group]
+    groups: dict[str, Group]
 
     @staticmethod
     def of(
@@ -77,7 +76,7 @@ class Evidence:
         target: Floats,
         precision: Floats,
         pull: Floats,
-        groups: Iterable[tuple[Key, Floats, Floats, tuple[float, ...], float]],
+        groups: Iterable[tuple[str, Floats, Floats, tuple[float, ...], float]],
     ) -> Evidence:
         """From whitened columns.
 
@@ -116,7 +115,7 @@ class Evidence:
         larger = sum(self.groups[name].cost(width) for name, width in widths.items())
         return -0.5 * deviance - float(np.sum(np.log(np.diag(root)))) + larger
 
-    def tuned(self, widths: Widths, names: Iterable[Key] | None = None) -> tuple[float, dict[Key, float]]:
+    def tuned(self, widths: Widths, names: Iterable[str] | None = None) -> tuple[float, dict[str, float]]:
         """The best widths near some, and their log evidence; only those of some groups, of all without."""
         found, best = dict(widths), self.log(widths)
         free = [name for name in (found if names is None else names) if len(self.groups[name].widths) > 1]
@@ -128,7 +127,7 @@ class Evidence:
                 break
         return best, found
 
-    def _one_tuned(self, widths: dict[Key, float], best: float, name: Key) -> tuple[float, dict[Key, float]]:
+    def _one_tuned(self, widths: dict[str, float], best: float, name: str) -> tuple[float, dict[str, float]]:
         """After steps of one width, as long as each makes it better."""
         choices = self.groups[name].widths
         for step in (1, -1):
@@ -144,7 +143,7 @@ class Evidence:
                 break
         return best, widths
 
-    def gains(self, widths: Widths, names: Iterable[Key]) -> dict[Key, tuple[float, float]]:
+    def gains(self, widths: Widths, names: Iterable[str]) -> dict[str, tuple[float, float]]:
         """What each of some groups would bring beside a set: log odds, and the best width for it."""
         places, scale, _, solved, root = self._solved(widths)
         found = {}
@@ -165,7 +164,7 @@ class Evidence:
             found[name] = best
         return found
 
-    def coefficients(self, widths: Widths) -> tuple[Floats, dict[Key, Floats]]:
+    def coefficients(self, widths: Widths) -> tuple[Floats, dict[str, Floats]]:
         """Most probable coefficients: of the base, in its units, and of each group, in usual sizes."""
         _, scale, _, solved, root = self._solved(widths)
         whole = scale * solve_triangular(root, solved, lower=True, trans=1)
@@ -176,7 +175,7 @@ class Evidence:
             at += size
         return whole[: self.base], found
 
-    def information(self, widths: Widths, name: Key) -> tuple[Floats, Floats]:
+    def information(self, widths: Widths, name: str) -> tuple[Floats, Floats]:
         """Of a group in usual sizes, tempered, (k, k): what a set beside it cannot imitate, and all of it."""
         places, scale, _, _, root = self._solved(widths)
         own = self.groups[name].places

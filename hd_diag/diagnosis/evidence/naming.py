@@ -97,13 +97,12 @@ def standings(found: Found) -> dict[str, Standing]:
 
 def _standing(found: Found, item: Item) -> Standing:
     best, effect = found.best, item[0]
-    values = {**found.instead.get(effect.name, {}), effect.name: 0.0}
+    values = {effect.name: 0.0, **found.instead.get(effect.name, {})}
     if len(values) > 1:
         for name in effect.always_confused:
             values[name] = 0.0
-        values |= {
-            name: 0.0 for name in values if name and values[name] > -UNPROVED and _is_unproved(best, name)
-        }
+        near = (name for name, odds in values.items() if name and odds > -UNPROVED)
+        values |= dict.fromkeys([name for name in near if _is_unproved(best, name)], 0.0)
     others = tuple(one for one in (*best.fit.data.given, *best.causes) if one[0].name != effect.name)
     known = frozenset(one.name for one in best.fit.data.searched)
     return Standing(values, known, *own_size(best.fit, best.chosen, others, item))
@@ -118,11 +117,12 @@ def _is_unproved(best: Set, name: str) -> bool:
 def in_class(values: Mapping[str, float], known: Collection[str]) -> tuple[tuple[str, ...], float, float]:
     """The fewest known causes that hold nearly all the weight of those known, their share, and that of none.
 
-    `values` are log odds by name, that of no cause under the empty one.
+    `values` are log odds by name, that of no cause under the empty one. Of equal ones the first comes first.
     """
     most = max(values.values())
     weight = {name: math.exp(value - most) for name, value in values.items()}
-    total, named = sum(weight.values()), sorted(weight.keys() & set(known), key=lambda name: -weight[name])
+    total = sum(weight.values())
+    named = sorted((name for name in values if name in known), key=lambda name: -weight[name])
     wanted, alike, held = CLASS_SHARE * sum(weight[name] for name in named), list[str](), 0.0
     for name in named:
         if held >= wanted:

@@ -120,7 +120,7 @@ def begun(fit: LinearisedFit) -> Set:
     slope = np.abs(fit.data.model.at(fit_parameters.vector(drive, drive)).signals.predicted_torque_slope)
     finite = slope[np.isfinite(slope)]  # it is without end in the gap between the flanks
     compliance = float(np.median(finite)) if finite.size else 0.0
-    start = Set(fit, Remainders.of(fit.data.source, compliance), ())
+    start = Set(fit, Remainders.of(fit.data.source, drive, compliance), ())
     return start.valued().settled()
 
 
@@ -167,7 +167,7 @@ def search(
     first = begun(starts[0].with_noise(starts[0].data.given))
     whiten = first.learned().whiten
     minima = [begun(replace(start, whiten=whiten)) for start in starts]
-    if turned := _with_torque_zero(minima[0], torque_zero):
+    if turned := _with_torque_zero(minima[0].at(starts[0].parameters), torque_zero):
         minima = [one.on(turned) for one in minima]
         minima.append(turned)
     minima.sort(key=lambda one: -one.value)
@@ -313,7 +313,7 @@ def _may_be_elsewhere(at: Set) -> bool:
     if any(at.widths[effect.name] > 1.0 for effect in (*ORDERS, PLACE)):
         return True
     more, here = at.fit.flexible(), at.fit.deviance(at.chosen)
-    return here - at.fit.deviance(at.chosen, more) > more.shape[1] + DISTINCT
+    return bool(here - at.fit.deviance(at.chosen, more) > more.shape[1] + DISTINCT)
 
 
 def restarted(at: Set, rng: np.random.Generator) -> Floats:

@@ -16,11 +16,13 @@ from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.present_effects import Item
 from hd_diag.diagnosis.noise import whitening
 from hd_diag.diagnosis.record import Record
+from hd_diag.drive import Drive
 from hd_diag.effects.effect import Effect
 from hd_diag.effects.remainders import ORDERS, PLACE, SPEED, TIME, TORQUE, Remainder
 
 Widths = Mapping[str, float]
 
+_HELD = 1e24  # precision of what does not move, in units of the parameters
 _WANDERING = 0.3  # of a cause's usual size, that its size may wander by
 
 
@@ -31,11 +33,12 @@ class Remainders:
     items: Chosen
 
     @staticmethod
-    def of(record: Record, compliance: float) -> Remainders:
+    def of(record: Record, drive: Drive, compliance: float) -> Remainders:
         """For a record, beside a drive of some mean compliance [rad/(N m)]."""
+        forward = np.sign(drive.kinematics.ratio) * record.speed
         usual = {
             TORQUE: (calibration.USUAL_TORSION * compliance, _range(record.torque)),
-            SPEED: (calibration.USUAL_SPEED, _range(record.speed)),
+            SPEED: (calibration.USUAL_SPEED, _range(forward)),
             PLACE: (calibration.USUAL_PLACE, _range(record.torque)),
             TIME: (calibration.USUAL_DRIFT, (float(record.time[0]), float(record.time[-1]))),
             **{line: (calibration.USUAL_LINE, _range(record.torque)) for line in ORDERS},
@@ -99,9 +102,13 @@ class Set:
         ]
         fixed = fit.data.given
         precision, pull = fit.prior(fixed)
+        # What a parameter on its bound would explain beyond it counts for no set.
+        held, steps = fit.on_bounds(self.chosen if self.widths else fixed)
+        target = fit.residual_white - fit.always_white[:, held] @ steps
+        precision[held], pull[held] = _HELD, 0.0
         columns = [fit.always_white, *(fit.white(*item) for item in fixed)]
         groups = [_group(fit, name, item) for name, item in (*own, *candidates)]
-        return Evidence.of(columns, fit.residual_white, precision, pull, groups)
+        return Evidence.of(columns, target, precision, pull, groups)
 
     def valued(self) -> Set:
         """With the best widths and the evidence where the fit stands."""

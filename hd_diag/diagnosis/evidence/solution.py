@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 
@@ -9,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hd_diag.arrays import Floats
-from hd_diag.diagnosis.evidence.calibration import LEAST_SIZE
+from hd_diag.diagnosis.evidence.calibration import LEAST_SIZE, NAMED, TEMPER
 from hd_diag.diagnosis.evidence.naming import Standing
 from hd_diag.diagnosis.evidence.order_table import OrderRow
 from hd_diag.diagnosis.evidence.sets import Set
@@ -22,6 +23,7 @@ from hd_diag.effects.effect import Effect
 from hd_diag.effects.motor_current import MotorCurrent
 from hd_diag.effects.remainders import Remainder
 
+_FORETOLD = math.log(NAMED / (1.0 - NAMED))  # of what was held out, as of a cause
 _CHANCE_SHARE = 3.0  # times what noise alone gives to the columns of what wanders
 
 
@@ -173,7 +175,8 @@ def _functions(fit: LinearisedFit, chosen: Chosen, larger: Collection[str]) -> t
         part = part - part.mean()
         rms, most = float(np.std(part)), int(np.argmax(np.abs(part)))
         where = along.get(effect.name.removeprefix("function_of_"), s.torque)
-        described = effect.lasting and rms >= LEAST_SIZE and float(built.held_out_gain(place)[0].sum()) > 0.0
+        foretold = 0.5 * TEMPER * float(built.held_out_gain(place)[0].sum())  # log odds
+        described = effect.lasting and rms >= LEAST_SIZE and foretold > _FORETOLD
         found.append(
             Function(
                 effect,
