@@ -16,9 +16,9 @@ from report_samples import HOSTILE
 from hd_diag.config.configuration import resolve
 from hd_diag.diagnosis.gain import Rms
 from hd_diag.report.pictures import canvas
-from hd_diag.report.pictures.comparison import model_ladder
+from hd_diag.report.pictures.comparison import evidence, model_ladder, remainders
 from hd_diag.report.pictures.markup import inline_svg
-from hd_diag.report.stages import Rung
+from hd_diag.report.stages import Curve, Rung
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -81,6 +81,25 @@ def test_a_ladder_shows_its_numbers() -> None:
     rungs = [Rung(name, value, 0.9 * value, 1.1 * value) for name, value in zip(names, rms, strict=True)]
     svg = inline_svg(model_ladder(rungs, held_out), "a", "", "")
     assert {*names, "46.00", "12.50", "3.30"} <= set(texts(svg))
+
+
+def test_the_evidence_s_bars_have_names_and_numbers() -> None:
+    """Nothing first, then the nearest; a cause itself is no row."""
+    weighed = {
+        "hysteresis": {"": -143.3, "hysteresis": 0.0, "viscous_windup": -30.0, "coulomb_windup": -6.65},
+        "output_runout": {"": -8.0, "output_runout": 0.0},
+    }
+    seen = texts(inline_svg(evidence(weighed), "a", "", ""))
+    rows = ["no hysteresis", "coulomb windup for it", "viscous windup for it", "no output runout"]
+    assert [text for text in seen if text in rows] == rows
+    assert {"143", "30", "6.65", "8"} <= set(seen)
+
+
+def test_remainders_are_drawn_over_what_they_follow() -> None:
+    place = np.linspace(-1.0, 1.0, 50)
+    torque = Curve("function of torque", "N m", 40.0 * place, 1e-5 * place**3)
+    seen = texts(inline_svg(remainders([torque, Curve("line 2", "N m", place, place)]), "a", "", ""))
+    assert {"Function of torque [arcsec], over [N m]", "Line 2 [arcsec], over [N m]"} <= set(seen)
 
 
 def test_the_drawn_drives_labels_are_apart_and_teeth_interfere_between_lobe_and_eccentricity() -> None:

@@ -229,7 +229,7 @@ def diagnose(
     whole = measured.at(settle(replace(every, whiten=fit.whiten), chosen, 2, learn=False))
     # As of an average whose parts disagree: Birge, Phys. Rev. 40 (1932).
     wider = rms.misfit.value if rms.misfit.suspected else 1.0
-    parameters, spread = kept.spread(whole, found.rivals)
+    parameters, spread = kept.spread(whole, found.rivals, found.datum_reach)
     trustworthy = not found.rivals and not fit_parameters.at_bound(parameters, configured)
     drive = fit_parameters.drive_of(parameters, configured)
     work.tell(0.9, "looking at what no cause explains")

@@ -29,7 +29,7 @@ from hd_diag.records.joint_record import InputRecord
 from hd_diag.replay.versions import running
 from hd_diag.report import stages, torsion
 from hd_diag.report.advice import AMBER, Card, Gauge, cards, gauges, worst
-from hd_diag.report.stages import BinnedResiduals, OverTime, Rung, Stages, benches, ladder
+from hd_diag.report.stages import BinnedResiduals, Curve, OverTime, Rung, Stages, benches, curves, ladder
 from hd_diag.report.teeth import TeethOverTurn, teeth_over_turn
 
 _LINE_SHARE = 0.2  # of a cause's mean square: a larger peak of its spectrum is its order
@@ -81,6 +81,7 @@ class Judgement:
     highest_order: float
     marks: tuple[Mark, ...]
     ladder: tuple[Rung, ...]
+    remainders: tuple[Curve, ...]
     stretches: int
 
 
@@ -235,6 +236,7 @@ def _judgement(
         highest,
         tuple(mark for mark in marks if mark.order <= highest),
         tuple(ladder(diagnosis, found.residual[stages.NOMINAL], fitted, rng)),
+        tuple(curves(diagnosis.found)) if diagnosis.found else (),
         int(fitted[-1].data.block[-1]) + 1 if fitted else 0,
     )
 

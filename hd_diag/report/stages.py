@@ -9,6 +9,8 @@ import numpy as np
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.diagnosis import Diagnosis
+from hd_diag.diagnosis.evidence.calibration import LEAST_SIZE
+from hd_diag.diagnosis.evidence.solution import Solution
 from hd_diag.diagnosis.extension import running_residual
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.design import solve
@@ -18,6 +20,7 @@ from hd_diag.diagnosis.fit.refit import usable
 from hd_diag.diagnosis.record import Record
 from hd_diag.drive import Drive, transmission_error
 from hd_diag.effects.order_spectrum import spectrum
+from hd_diag.effects.remainders import PLACE, SPEED, TIME, TORQUE, Remainder
 from hd_diag.formatting import words
 from hd_diag.report.teeth import strongest_torque
 
@@ -26,13 +29,14 @@ NOMINAL, REFIT, EXTENDED = "as configured", "refitted", "extended"
 LOW, HIGH = 0.1, 0.9
 """Quantiles between which a band's spread lies [-]."""
 
+_REMAINDERS = "+ remainders"
 _LEAST = 5  # samples in a bin below which it gets no mean
 _ANGLE_BINS, _TORQUE_BINS = 72, 40
 _STRETCHES = 240
 _SPECTRUM_POINTS = 600
 _TURN = 2.0 * np.pi
 _GRID_ANGLES, _GRID_TORQUES = 48, 41
-_DRAWS = 2000
+_DRAWS, _CURVE_POINTS = 2000, 600
 _INTERVAL = (0.025, 0.975)
 
 
@@ -202,6 +206,40 @@ def strongest(place: Floats, value: Floats, highest: float, count: int) -> tuple
     return place[first], value[first]
 
 
+# Remainders ---
+
+
+class Curve(NamedTuple):
+    """A remainder over what it follows, at points (k,) that rise: its name, unit, place and part [rad]."""
+
+    name: str
+    unit: str
+    place: Floats
+    part: Floats
+
+
+_FOLLOWED = {
+    TORQUE: ("torque", "N m"),
+    SPEED: ("speed", "rad/s"),
+    PLACE: ("output_angle", "rad"),
+    TIME: ("time", "s"),
+}
+
+
+def curves(found: Solution) -> list[Curve]:
+    """The remainders that are large enough to be told; lines over the torque's magnitude."""
+    result = []
+    for one in found.functions:
+        if one.rms < LEAST_SIZE:
+            continue
+        signal, unit = _FOLLOWED.get(one.effect, ("torque", "N m"))
+        place = getattr(found.fit.signals, signal)
+        order = np.argsort(place, kind="stable")[:: max(place.size // _CURVE_POINTS, 1)]
+        part = found.fit.columns(one.effect, one.nonlinear) @ one.coefficients
+        result.append(Curve(words(one.effect.name), unit, place[order], (part - part.mean())[order]))
+    return result
+
+
 # Ladder ---
 
 
@@ -225,10 +263,16 @@ def benches(diagnosis: Diagnosis) -> list[LinearisedFit]:
     """The record with each fitted rung's model, parameters settled; empty where nothing was fitted."""
     if diagnosis.found is None or diagnosis.refitted is None:
         return []
-    whole, chosen = diagnosis.found.fit, diagnosis.found.chosen
-    start = diagnosis.refitted.parameters
-    fewer = [settle(whole.moved(start), chosen[:count]) for count in range(len(chosen))]
-    return [*fewer, whole]
+    whole, start = diagnosis.found.fit, diagnosis.refitted.parameters
+    *fewer, _ = _fitted(diagnosis.found).values()
+    return [*(settle(whole.moved(start), chosen) for chosen in fewer), whole]
+
+
+def _fitted(found: Solution) -> dict[str, Chosen]:
+    """What each fitted rung has: one cause or shape more than the one before; all remainders come last."""
+    apart = tuple(one for one in found.chosen if not isinstance(one[0], Remainder))
+    more = {f"+ {words(effect.name)}": apart[:count] for count, (effect, _) in enumerate(apart, 1)}
+    return {REFIT: (), **more, **({_REMAINDERS: found.chosen} if len(apart) < len(found.chosen) else {})}
 
 
 def ladder(
@@ -240,9 +284,10 @@ def ladder(
     """
     if diagnosis.found is None or not fitted:
         return []
-    chosen = diagnosis.found.chosen
-    names = [NOMINAL, REFIT, *(f"+ {words(effect.name)}" for effect, _ in chosen)]
-    residuals = [nominal, *(_unseen(bench, chosen[:count]) for count, bench in enumerate(fitted))]
+    rungs = _fitted(diagnosis.found)
+    names = [NOMINAL, *rungs]
+    unseen = (_unseen(bench, chosen) for bench, chosen in zip(fitted, rungs.values(), strict=True))
+    residuals = [nominal, *unseen]
     block = fitted[-1].data.block
     squares, counts = np.stack([np.bincount(block, rest**2) for rest in residuals]), np.bincount(block)
     draws = rng.integers(0, counts.size, (_DRAWS, counts.size))
@@ -256,12 +301,9 @@ def ladder(
 
 def _unseen(bench: LinearisedFit, chosen: Chosen) -> Floats:
     """Residual of every stretch by coefficients fitted to the others [rad]."""
-    normal = bench.design(chosen)
-    gram, moment = normal.gram.sum(axis=0), normal.moment.sum(axis=0)
     columns = np.concatenate((bench.always(), bench.joined(chosen)), axis=1)
     rest = np.empty(bench.residual.size)
-    for block in range(normal.square.size):
+    for block, (_, _, others, towards) in enumerate(bench.design(chosen).blocks()):
         rows = bench.data.block == block
-        beta = solve(gram - normal.gram[block], moment - normal.moment[block])
-        rest[rows] = bench.residual[rows] - columns[rows] @ beta
+        rest[rows] = bench.residual[rows] - columns[rows] @ solve(others, towards)
     return rest

@@ -13,7 +13,7 @@ from hd_diag.diagnosis.evidence.calibration import NAMED
 from hd_diag.diagnosis.evidence.sets import Set
 from hd_diag.diagnosis.evidence.solution import Solution, parameters_of
 from hd_diag.diagnosis.fit import fit_parameters
-from hd_diag.diagnosis.fit.fit_parameters import GROUPS, alike, displacements, groups
+from hd_diag.diagnosis.fit.fit_parameters import DATUM, GROUPS, alike, displacements, groups
 from hd_diag.diagnosis.fit.joint_refinement import covariance
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.drive import Drive
@@ -59,15 +59,19 @@ class Kept:
         units[5] *= configured.mesh.tooth_compliance
         return {name: bound * float(units[GROUPS[name][0]]) for name, bound in self.bounds.items()}
 
-    def spread(self, whole: Solution, rivals: Sequence[Set]) -> tuple[Floats, Floats]:
+    def spread(
+        self, whole: Solution, rivals: Sequence[Set], datum_reach: float = 0.0
+    ) -> tuple[Floats, Floats]:
         """Parameters of a fit with these groups held, shape (p,), and their covariance, shape (p, p).
 
-        Intervals reach as far as the bounds; those of the others as far as those of every rival minimum.
+        Intervals reach as far as the bounds; those of the others as far as those of every rival minimum, and
+        that of the datum as far as its likelihood does.
         """
         fit = whole.fit
         found, spread = parameters_of(whole)
         plain = _half_widths(spread)
         reach = plain.copy()
+        reach[DATUM] = max(reach[DATUM], datum_reach)
         for rival in rivals:
             other, own = _fitted(rival.fit, rival.chosen), covariance(rival.fit, rival.chosen)[0]
             ways = (np.abs(one - found) for one in alike(other, fit.data.configured))

@@ -13,7 +13,8 @@ from hd_diag.diagnosis.evidence.calibration import NAMED
 from hd_diag.diagnosis.evidence.sets import Remainders, Set, presence
 from hd_diag.diagnosis.evidence.unmodelled_terms import OUTPUT_LINES, UNMODELLED_TERMS
 from hd_diag.diagnosis.fit import fit_parameters
-from hd_diag.diagnosis.fit.fit_parameters import alike
+from hd_diag.diagnosis.fit.fit_parameters import DATUM, alike
+from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.diagnosis.fit.present_effects import Item
 from hd_diag.diagnosis.fit.refit import DISTINCT, FEW_STARTS, distinct, refit
@@ -31,6 +32,8 @@ _BY_TORQUE = ("friction", "torsion")
 _HOPELESS = 100.0  # log odds, beyond which another minimum is not followed
 _CLOSE = 10.0  # log odds, within which a set is settled before it is judged
 _NEARLY = 5.0  # the same, within which its nonlinear values are settled as well
+_DATUM_STEPS = (2.0, 4.0, 8.0, 16.0)  # to either side, in units of the parameters
+_AT_95 = 1.96**2  # deviance
 _PLAINLY = 25.0  # log odds on some rows, from which a cause holds on all
 _TO_MINIMUM = 5  # rounds of settling
 _FIRST, _TURN = 0.15, 0.6  # of the time, that is gone before; of what is left of the search, after each turn
@@ -139,11 +142,14 @@ class Found:
     instead : dict
         Of each cause by name: log odds of sets with another in its place, by that one's name; with none in
         its place, by the empty name.
+    datum_reach : float
+        Half the 95 % interval of the datum, by the likelihood along it, in units of the parameters.
     """
 
     best: Set
     rivals: tuple[Set, ...] = ()
     instead: Instead = field(default_factory=dict)
+    datum_reach: float = 0.0
 
 
 def search(
@@ -171,6 +177,7 @@ def search(
         minima = [one.on(turned) for one in minima]
         minima.append(turned)
     minima.sort(key=lambda one: -one.value)
+    minima.insert(0, _along_datum(minima[0])[0])
     instead = Instead()
     with work.until(SEARCHED, FURTHER_CAUSES):
         for turn in range(_TURNS):
@@ -180,7 +187,9 @@ def search(
                 break
             others = [one for one in minima if one.value > minima[0].value - _HOPELESS]
             minima = _at_minima(found, others, rng)
-    best, known = minima[0].moved_to(every).settled(_TO_MINIMUM).relearned(), _plain(instead)
+    best, reach = _along_datum(minima[0], every.data.at.size / minima[0].fit.data.at.size)
+    minima[0] = best
+    best, known = best.moved_to(every).settled(_TO_MINIMUM).relearned(), _plain(instead)
     instead = known
     with work.until(SEARCHED, FURTHER_CAUSES):
         for turn in range(_TURNS):
@@ -190,7 +199,7 @@ def search(
             best = now if found is None else found
             if found is None:
                 break
-    return Found(best, _rivals(minima, every), instead)
+    return Found(best, _rivals(minima, every), instead, reach)
 
 
 def _tell(work: Work, half: float, turn: int, text: str) -> None:
@@ -271,6 +280,35 @@ def _choices(effect: Effect, nonlinear: tuple[float, ...]) -> tuple[float, ...]:
     """The discrete ones of an effect's nonlinear values: which tooth, which form."""
     pairs = zip(effect.nonlinear, nonlinear, strict=True)
     return tuple(value for quantity, value in pairs if quantity.discrete)
+
+
+def _along_datum(best: Set, rows: float = 1.0) -> tuple[Set, float]:
+    """The best set with any datum, and how far the datum reaches at 95 % were there `rows` times as many.
+
+    A torsion of another shape imitates its step at the zero of the torque, of which no slope tells: so it is
+    held at values to either side, all else settled there (a profile likelihood).
+    """
+    better, reach = best, 0.0
+    for side in (1.0, -1.0):
+        fit, before, known = best.fit, (0.0, 0.0), False
+        for away in _DATUM_STEPS:
+            start = fit.parameters.copy()
+            start[DATUM] = best.fit.parameters[DATUM] + side * away
+            if not np.allclose(fit_parameters.admissible(start, best.fit.data.configured), start):
+                break
+            held = replace(fit.moved(start), held=(*best.fit.held, DATUM)).beside(fit.present)
+            fit = settle(held, best.chosen, 2, learn=False)
+            worse = rows * (fit.deviance(best.chosen) - best.fit.deviance(best.chosen))
+            if not known:
+                known = worse > _AT_95
+                share = (_AT_95 - before[1]) / max(worse - before[1], 1e-300) if known else 1.0
+                reach, before = max(reach, before[0] + share * (away - before[0])), (away, worse)
+            if worse > _HOPELESS:
+                break
+            free = replace(best, fit=replace(fit, held=best.fit.held)).settled()
+            if free.value > better.value and free.sensible:
+                better = free
+    return better, reach
 
 
 def _at_minima(found: Set, others: list[Set], rng: np.random.Generator) -> list[Set]:

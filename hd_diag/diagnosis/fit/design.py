@@ -84,7 +84,7 @@ class Design:
         """Sum of squares of each block, predicted by a fit to all others; shape (blocks,)."""
         known = self.without_wandering()
         result = known.square.copy()
-        for block, (g, m, others, towards) in enumerate(known._blocks()):
+        for block, (g, m, others, towards) in enumerate(known.blocks()):
             beta = solve(others, towards)
             result[block] += beta @ g @ beta - 2.0 * beta @ m
         return result
@@ -107,7 +107,7 @@ class Design:
         count = self.moment.shape[1]
         rest = np.delete(np.arange(count), np.r_[dropped])
         gain, predicted = np.empty((2, self.square.size))
-        for block, (g, m, others, towards) in enumerate(self.without_wandering()._blocks()):
+        for block, (g, m, others, towards) in enumerate(self.without_wandering().blocks()):
             beta, fewer = solve(others, towards), np.zeros(count)
             fewer[rest] = solve(others[np.ix_(rest, rest)], towards[rest])
             change = beta - fewer
@@ -115,7 +115,7 @@ class Design:
             predicted[block] = change @ g @ change
         return gain, predicted
 
-    def _blocks(self) -> Iterator[tuple[Floats, Floats, Floats, Floats]]:
+    def blocks(self) -> Iterator[tuple[Floats, Floats, Floats, Floats]]:
         """Normal equations of every block and of all others.
 
         A column that lives in the block alone leaves only rounding behind: it is set to zero.

@@ -11,12 +11,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
 from hd_diag.arrays import Floats
+from hd_diag.diagnosis.evidence.calibration import NAMED
 from hd_diag.diagnosis.gain import Rms
 from hd_diag.diagnosis.ripple.ripple import Ripple
-from hd_diag.formatting import ARCSEC
+from hd_diag.formatting import ARCSEC, words
 from hd_diag.report.pictures import canvas
 from hd_diag.report.pictures.canvas import GRID, INK, REFIT, STAGES, drawn, sheet, titled, turn
-from hd_diag.report.stages import Band, BinnedResiduals, OverTime, Rung
+from hd_diag.report.stages import Band, BinnedResiduals, Curve, OverTime, Rung
 from hd_diag.report.torsion import Torsion, k_shown
 
 _TURN = 2.0 * np.pi
@@ -29,6 +30,7 @@ _LEAST_LABELLED = 0.1  # width of a range over the greatest torque: a wider one 
 _FLOOR = 0.4  # height of the noise floor at each rung
 _IN_TURN: Any = {"fmt": "o", "ms": 5, "capsize": 3, "color": canvas.EXTENDED, "label": "each stretch in turn"}
 _NEVER_FITTED: Any = {"ms": 6.5, "mfc": "none", "mew": 1.2, "color": REFIT, "label": "never fitted"}
+_NONE_WORSE = 60.0  # log odds, beyond which a bar is cut
 _BESIDE: Any = {"xytext": (7.0, 0.0), "textcoords": "offset points", "ha": "left", "va": "center"}
 _ROOM = 1.9  # factor to the right of the largest for its number
 
@@ -144,6 +146,42 @@ def torsion_curve(found: Torsion, judged: bool) -> Figure:
     axes.set(xlim=(-most, most), xlabel="Torque on the link [N m]; K in 10⁴ N m/rad")
     titled(axes, "Transmission error [arcmin]")
     return figure
+
+
+@drawn
+def remainders(curves: Sequence[Curve]) -> Figure:
+    """Each over what it follows."""
+    figure, axes = sheet(1.0 + 1.3 * len(curves), len(curves))
+    for panel, curve in zip(axes, curves, strict=True):
+        panel.plot(curve.place, curve.part / ARCSEC, ".", ms=2.5, color=canvas.EXTENDED)
+        panel.axhline(0.0, color=INK, lw=0.7)
+        panel.set_title(f"{curve.name.capitalize()} [arcsec], over [{curve.unit}]")
+    return figure
+
+
+@drawn
+def evidence(weighed: Mapping[str, Mapping[str, float]]) -> Figure:
+    """By how much others are worse in the place of each cause: log odds by name, of nothing the empty one."""
+    rows = [(name, other, -odds[other]) for name, odds in weighed.items() for other in _by_odds(name, odds)]
+    figure, (axes,) = sheet(1.0 + 0.26 * (len(rows) + len(weighed)))
+    place, labels, at = 0.0, list[str](), list[float]()
+    for number, (name, other, worse) in enumerate(rows):
+        place += 2.0 if number and rows[number - 1][0] != name else 1.0
+        shown = min(worse, _NONE_WORSE)
+        axes.barh(place, shown, 0.7, color=REFIT if other else INK, lw=0)
+        axes.annotate(f"{worse:.3g}", (shown, place), **_BESIDE)
+        labels.append(f"no {words(name)}" if not other else f"{words(other)} for it")
+        at.append(place)
+    axes.axvline(np.log(NAMED / (1.0 - NAMED)), color=INK, lw=0.8, ls=(0, (1, 1.5)))
+    axes.set(xlim=(0.0, 1.2 * _NONE_WORSE), ylim=(place + 0.7, 0.3), yticks=at, yticklabels=labels)
+    axes.grid(False, axis="y")
+    titled(axes, f"Log odds against; dotted: {100.0 * NAMED:.0f} %", 0.0)
+    return figure
+
+
+def _by_odds(name: str, odds: Mapping[str, float]) -> list[str]:
+    """Names of what was weighed in the place of a cause, nothing first, then the nearest."""
+    return sorted((other for other in odds if other != name), key=lambda one: (one != "", -odds[one]))
 
 
 @drawn
