@@ -93,7 +93,7 @@ def test_the_ladder_s_rungs_lead_down_to_the_noise(name: str) -> None:
         f"+ {words(name)}",
         "+ remainders",
     ]
-    assert nominal.rms > refitted.rms > named.rms > 0.98 * extended.rms > 0.9 * rms.noise
+    assert nominal.rms > refitted.rms > named.rms > 0.9 * extended.rms > 0.8 * rms.noise
     own = [rms.nominal, rms.refit, rms.offline]
     assert_allclose([nominal.rms, refitted.rms, extended.rms], own, rtol=0.2)
     for rung, before in zip(found.ladder[1:], found.ladder, strict=False):
@@ -351,7 +351,7 @@ def test_every_joint_and_picture_is_told_with_ids_of_its_own() -> None:
     assert {place.removeprefix("#") for place in places} <= set(ids)
     told = dict(re.findall(r'<(?:title|desc) id="(joint1-[^"]+)">([^<]+)<', text))
     pictures = Reader(section(text)).all("svg")
-    assert len(pictures) == 8
+    assert len(pictures) == 9
     for picture in pictures:
         assert picture["role"] == "img"
         assert len(told[picture["aria-labelledby"] or ""]) > 5

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hd_diag.diagnosis.evidence.calibration import NAMED
 from hd_diag.diagnosis.evidence.solution import Cause
 from hd_diag.formatting import arcsec, number, percent, size
 from hd_diag.report.facts import JointReport, Judgement
@@ -72,7 +73,8 @@ def _comparisons(found: Judgement) -> Iterator[_Drawing]:
     if causes:
         caption = (
             "How much less probable the record is with nothing, or with another cause, in the place of each "
-            "that was found, all else settled anew: the natural logarithm of the odds."
+            "that was found, all else settled anew: the natural logarithm of the odds, "
+            f"{math.log(NAMED / (1.0 - NAMED)):.1f} for {100.0 * NAMED:.0f} %."
         )
         yield "evidence", "Evidence of the causes", comparison.evidence(causes), caption
     if found.remainders:
