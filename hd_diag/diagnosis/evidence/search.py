@@ -262,9 +262,13 @@ def _exchanged(now: Set, known: Instead) -> tuple[Set | None, Instead]:
             continue
         without = now.without(effect.name).settled()
         trials, itself = [without], (effect.name, _choices(effect, nonlinear))
-        for one in candidates(without)[:_RIVALS]:
+        ranked = candidates(without)
+        own = max((one.gain for one in ranked if one.name == effect.name), default=math.inf)
+        # What settling will bring more, it brings the cause itself as well.
+        least = min(now.value - without.value, own) - _CLOSE
+        for one in ranked[:_RIVALS]:
             other = one.name, _choices(*one.item)
-            if other != itself and without.value + one.gain > now.value - _CLOSE:
+            if other != itself and one.gain > least:
                 there = without.beside(one.item, one.widths).settled()
                 there = there.polished() if there.value > now.value - _NEARLY else there
                 trials += [there] if there.sensible else []
@@ -297,17 +301,19 @@ def _along_datum(best: Set, rows: float = 1.0) -> tuple[Set, float]:
             if not np.allclose(fit_parameters.admissible(start, best.fit.data.configured), start):
                 break
             held = replace(fit.moved(start), held=(*best.fit.held, DATUM)).beside(fit.present)
-            fit = settle(held, best.chosen, 2, learn=False)
+            fit = settle(held, best.chosen, 1, learn=False)
             worse = rows * (fit.deviance(best.chosen) - best.fit.deviance(best.chosen))
             if not known:
                 known = worse > _AT_95
                 share = (_AT_95 - before[1]) / max(worse - before[1], 1e-300) if known else 1.0
-                reach, before = max(reach, before[0] + share * (away - before[0])), (away, worse)
-            if worse > _HOPELESS:
+                reach = max(reach, before[0] + share * (away - before[0]))
+            if worse > rows * _HOPELESS:
                 break
-            free = replace(best, fit=replace(fit, held=best.fit.held)).settled()
-            if free.value > better.value and free.sensible:
-                better = free
+            # Where it gets better again there is another minimum.
+            if worse < before[1]:
+                free = replace(best, fit=replace(fit, held=best.fit.held)).settled()
+                better = free if free.value > better.value and free.sensible else better
+            before = away, worse
     return better, reach
 
 
