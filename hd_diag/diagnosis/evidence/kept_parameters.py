@@ -44,9 +44,12 @@ class Kept:
     ----------
     bounds : dict
         By the group's name, in units of :func:`fit_parameters.units`.
+    free : Set, optional
+        The same causes where nothing is held.
     """
 
     bounds: dict[str, float]
+    free: Set | None = None
 
     @property
     def held(self) -> tuple[int, ...]:
@@ -64,15 +67,15 @@ class Kept:
     ) -> tuple[Floats, Floats]:
         """Parameters of a fit with these groups held, shape (p,), and their covariance, shape (p, p).
 
-        Intervals reach as far as the bounds; those of the others as far as those of every rival minimum, and
-        that of the datum as far as its likelihood does.
+        Intervals reach as far as the bounds; those of the others as far as those of every rival minimum and
+        of the fit where nothing is held, and that of the datum as far as its likelihood does.
         """
         fit = whole.fit
         found, spread = parameters_of(whole)
         plain = _half_widths(spread)
         reach = plain.copy()
         reach[DATUM] = max(reach[DATUM], datum_reach)
-        for rival in rivals:
+        for rival in (*rivals, *([self.free] if self.free else [])):
             other, own = _fitted(rival.fit, rival.chosen), covariance(rival.fit, rival.chosen)[0]
             ways = (np.abs(one - found) for one in alike(other, fit.data.configured))
             away = min(ways, key=_squared_displacement)
@@ -126,7 +129,7 @@ def kept_parameters(free: Set) -> tuple[Set, Kept]:
     bounds = _bounds(fit, chosen, [*undetermined, *held])
     if bounds.keys() >= DISPLACEMENTS:  # beside none a runout is free to be anything
         bounds["runout"] = _bound(replace(best.fit, held=()), best.chosen, "runout")
-    return best, Kept(bounds)
+    return best, Kept(bounds, free if held else None)
 
 
 def _configured(fit: LinearisedFit) -> Floats:

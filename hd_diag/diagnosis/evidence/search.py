@@ -304,8 +304,8 @@ def _along_datum(best: Set, rows: float = 1.0) -> tuple[Set, float]:
             fit = settle(held, best.chosen, 1, learn=False)
             worse = rows * (fit.deviance(best.chosen) - best.fit.deviance(best.chosen))
             if not known:
-                known = worse > _AT_95
-                share = (_AT_95 - before[1]) / max(worse - before[1], 1e-300) if known else 1.0
+                known = worse > _AT_95  # it grows with the square
+                share = math.sqrt(max(_AT_95 - before[1], 0.0) / (worse - before[1])) if known else 1.0
                 reach = max(reach, before[0] + share * (away - before[0]))
             if worse > rows * _HOPELESS:
                 break
