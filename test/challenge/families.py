@@ -28,7 +28,10 @@ from challenge.records import PLAIN, Record, Recording, simulate
 from challenge.truth import Base, drawn, faultless
 
 DEVELOPMENT = range(0, 1_000_000)
-FINAL = range(1_000_000_000, 1_001_000_000)
+SPENT = range(1_000_000_000, 1_000_010_000)
+"""Final seeds of counts that are over: some of their records were looked at and are in tests, so that they serve
+for development now."""
+FINAL = range(SPENT.stop, 1_001_000_000)
 
 Names = Callable[[Draw, int], list[str]]
 SAME_CLASS = (
@@ -39,7 +42,7 @@ SAME_CLASS = (
 
 def generator(family: str, seed: int) -> np.random.Generator:
     """Generator of random numbers of a family and seed; the same on every machine."""
-    if seed not in DEVELOPMENT and seed not in FINAL:
+    if not any(seed in seeds for seeds in (DEVELOPMENT, SPENT, FINAL)):
         raise ValueError(f"seed {seed} is neither a development seed nor a final one")
     return np.random.default_rng([*family.encode(), seed])
 
