@@ -200,7 +200,9 @@ def arguments() -> argparse.Namespace:
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--development", action="store_true", help="development seeds (default)")
     which.add_argument("--final", action="store_true", help="final seeds")
-    parser.add_argument("--first", type=int, default=0, metavar="SEED", help="first of them, counted from zero")
+    parser.add_argument(
+        "--first", type=int, default=0, metavar="SEED", help="first of them, counted from zero"
+    )
     parser.add_argument("--jobs", type=int, default=2, metavar="N")
     parser.add_argument("--time", type=float, default=math.inf, metavar="S")
     parser.add_argument("--no-baselines", action="store_true")
