@@ -166,8 +166,14 @@ SLOW = {"pitch", "a slot", "oval and zero", "friction", "viscous", "off centre",
 SLOW |= {"beside the gear's", "wear"}
 
 
+KNOWN = {"beat": "two lines that beat over a quarter of a turn are told as one of a bearing"}
+
+
 def cases(names: dict[str, object]) -> list[object]:
-    return [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in names]
+    marks = dict.fromkeys(SLOW, pytest.mark.slow) | {
+        name: pytest.mark.xfail(reason=why) for name, why in KNOWN.items()
+    }
+    return [pytest.param(name, marks=marks.get(name, ())) for name in names]
 
 
 @pytest.mark.parametrize("name", cases(CAUSES))

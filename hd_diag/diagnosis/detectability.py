@@ -49,10 +49,10 @@ def testability(best: Set, undecided: Mapping[str, str]) -> tuple[Detectability,
     tests = []
     for effect in fit.data.searched:
         lacking = fit.data.testable(effect)[1]
-        if effect.name in undecided:
-            tests.append(Detectability(effect.name, False, math.nan, lacking or undecided[effect.name]))
-        elif not competes(fit, effect):
+        if not competes(fit, effect):
             tests.append(Detectability(effect.name, False, math.nan, lacking or torque_known(fit.signals)[1]))
+        elif effect.name in undecided:
+            tests.append(Detectability(effect.name, False, math.nan, lacking or undecided[effect.name]))
         elif effect.name in best.names:
             tests.append(Detectability(effect.name, True, LEAST_SIZE, "found"))
         elif effect.name not in points or not is_searched(fit, effect):

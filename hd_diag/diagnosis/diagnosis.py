@@ -230,7 +230,7 @@ def diagnose(
     # As of an average whose parts disagree: Birge, Phys. Rev. 40 (1932).
     wider = rms.misfit.value if rms.misfit.suspected else 1.0
     parameters, spread = kept.spread(whole, found.rivals, found.datum_reach)
-    trustworthy = not found.rivals and not fit_parameters.at_bound(parameters, configured)
+    trustworthy = not found.ambiguous and not fit_parameters.at_bound(parameters, configured)
     drive = fit_parameters.drive_of(parameters, configured)
     work.tell(0.9, "looking at what no cause explains")
     whole = replace(whole, table=measured.table)

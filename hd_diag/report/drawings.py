@@ -73,7 +73,7 @@ def _comparisons(found: Judgement) -> Iterator[_Drawing]:
     if causes:
         caption = (
             "How much less probable the record is with nothing, or with another cause, in the place of each "
-            "that was found, all else settled anew: the natural logarithm of the odds, "
+            "that was found, all else settled again: the natural logarithm of the odds, "
             f"{math.log(NAMED / (1.0 - NAMED)):.1f} for {100.0 * NAMED:.0f} %."
         )
         yield "evidence", "Evidence of the causes", comparison.evidence(causes), caption

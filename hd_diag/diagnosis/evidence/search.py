@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -13,7 +14,7 @@ from hd_diag.diagnosis.evidence.calibration import NAMED
 from hd_diag.diagnosis.evidence.sets import Remainders, Set, presence
 from hd_diag.diagnosis.evidence.unmodelled_terms import OUTPUT_LINES, UNMODELLED_TERMS
 from hd_diag.diagnosis.fit import fit_parameters
-from hd_diag.diagnosis.fit.fit_parameters import DATUM, alike
+from hd_diag.diagnosis.fit.fit_parameters import COMPLIANCE, CUP, DATUM, alike
 from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.diagnosis.fit.present_effects import Item
@@ -151,6 +152,13 @@ class Found:
     instead: Instead = field(default_factory=dict)
     datum_reach: float = 0.0
 
+    @property
+    def ambiguous(self) -> bool:
+        """Whether a rival is displaced otherwise; that its teeth or its datum are others makes a ± longer."""
+        count = self.best.fit.parameters.size
+        displaced = [number for number in range(count) if number not in (DATUM, COMPLIANCE, CUP)]
+        return any(_is_beyond_valley(self.best, rival, displaced) for rival in self.rivals)
+
 
 def search(
     starts: list[LinearisedFit], every: LinearisedFit, rng: np.random.Generator, torque_zero: float = 0.0
@@ -233,11 +241,15 @@ def _rivals(minima: list[Set], every: LinearisedFit) -> tuple[Set, ...]:
     return tuple(one for one in near if _is_beyond_valley(best, one))
 
 
-def _is_beyond_valley(best: Set, other: Set) -> bool:
-    """Whether another minimum is no place in the valley that the best one's covariance tells of."""
-    fit, own = best.fit, slice(best.fit.parameters.size)
-    spread = fit.fit(best.chosen)[1][own, own]
-    steps = (one - fit.parameters for one in alike(other.fit.parameters, fit.data.configured))
+def _is_beyond_valley(best: Set, other: Set, own: Sequence[int] | None = None) -> bool:
+    """Whether another minimum is no place in the valley that the best one's covariance tells of.
+
+    By some parameters alone, all where their numbers are not given.
+    """
+    fit = best.fit
+    numbers = list(range(fit.parameters.size) if own is None else own)
+    spread = fit.fit(best.chosen)[1][np.ix_(numbers, numbers)]
+    steps = ((one - fit.parameters)[numbers] for one in alike(other.fit.parameters, fit.data.configured))
     return min(float(step @ np.linalg.solve(spread, step)) for step in steps) > DISTINCT
 
 
