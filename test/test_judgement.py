@@ -112,13 +112,8 @@ def test_where_no_motion_repeats_noise_may_be_all_that_is_left_and_nothing_is_na
         (-8.0, 4.0, NEAR, True),
         (-6.0, 4.0, NEAR, False),  # 99.75 % are 97.9 %
         (-6.0, 4.0, None, True),
-        (
-            -20.0,
-            0.275,
-            NEAR,
-            False,
-        ),  # of 0.25 arcsec that it must have its deviation of 0.01 leaves too little
-        (-20.0, 0.275, None, True),
+        (-20.0, 0.525, NEAR, False),  # its deviation of 0.01 leaves less than the least size
+        (-20.0, 0.525, None, True),
         (-1200.0, 4.0, UNREPEATED, False),  # by as much as 19 times the noise it is 96.5 %
         (-1700.0, 4.0, UNREPEATED, True),
         (-1200.0, 4.0, SLOW, False),

@@ -105,8 +105,8 @@ def test_what_is_not_probable_enough_is_not_named() -> None:
 
 def test_what_explains_too_little_for_certain_is_not_named() -> None:
     assert standing(deviation=0.99 * LEAST_SIZE / CERTAIN_SIZE).doubt == ""
-    doubt = standing(own=0.31 * ARCSEC, deviation=0.1 * ARCSEC).doubt
-    assert doubt == "what it alone explains is 0.31 arcsec rms, and 0.25 arcsec for certain are asked for"
+    doubt = standing(own=0.56 * ARCSEC, deviation=0.1 * ARCSEC).doubt
+    assert doubt == "what it alone explains is 0.56 arcsec rms, and 0.50 arcsec for certain are asked for"
 
 
 def test_too_many_alike_are_no_name() -> None:

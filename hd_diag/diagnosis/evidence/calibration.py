@@ -22,14 +22,14 @@ UNKNOWN = math.log(0.02)
 NAMED, HINTED = 0.99, 0.5
 """Probability from which a class is named, and from which it is a hint: one false alarm in a hundred."""
 
-LEAST_SIZE = 0.25 * ARCSEC
-"""Own part that a cause must have [rad rms]: a tenth of what the best gears leave; less asks for nothing."""
+LEAST_SIZE = 0.5 * ARCSEC
+"""Own part that a cause must have [rad rms]: less than any joint's lines have as a rule asks for nothing."""
 
 USUAL_TORSION = 0.1
 """Change of the compliance from torque to torque, by which gears of one page differ: catalogues allow ten to
 twenty per cent."""
 
-USUAL_LINE = 0.5 * ARCSEC
+USUAL_LINE = LEAST_SIZE
 USUAL_PLACE = 0.3 * ARCSEC
 USUAL_SPEED = 0.3 * ARCSEC
 USUAL_DRIFT = 0.3 * ARCSEC
