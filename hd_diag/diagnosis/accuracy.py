@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from hd_diag.diagnosis.fit.design import inverse
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.regression import centered, usual_laws
 from hd_diag.effects.quantity import turning
+from hd_diag.formatting import ARCSEC
 from hd_diag.model.transmission_error import Kinematics
 
 WHOLE_TURN = 0.95
@@ -24,12 +26,17 @@ _LOADED = 3  # of them, whose waves may change with the torque
 _MEMBER_ORDERS = (2.0, 4.0)  # seen from the member that turns
 _OUTPUT_ORDERS = (1.0, 2.0, 3.0, 4.0)  # per turn of the output
 _SIDE = 0.05  # of the rated torque, over which a flank changes
+_USUAL = (
+    30.0 * ARCSEC
+)  # amplitude of a wave, of an arcminute from peak to peak: what no row tells stays small
 _ROWS_PER_COLUMN = 10
 _PLAIN = 6.0  # square of a wave over that of its deviation: noise has 0.25 % of its waves beyond
 _APART = 0.3  # of a wave, that torsion and friction must not explain
 _MOST_ROWS, _MOST_SHOWN = 20_000, 4000  # to fit, and of the shape
 _LEVELS = (0.1, 0.3, 0.5, 0.7, 0.9)  # quantiles of the torque
-_STRETCHES = 12  # of a record, each of which is left out once
+_STRETCHES = 12  # of a record, of which some are left out
+_AT_ONCE = _STRETCHES // 2  # of them, for a deviation: half samples
+_LEFT_OUT = list(combinations(range(_STRETCHES), _AT_ONCE))[::9]
 _PLACES = 72  # of an output turn
 _EIGHT = 8.0  # square of a wave from peak to peak, over its mean square
 
@@ -67,9 +74,9 @@ def accuracy(
     The greatest of many noisy values is too large. So waves are fitted: low orders of the input's turn, which
     may change with the torque, of the member that turns and of the output, and those that were found; beside
     torsion, friction and an offset of every run. Their sum at the record's angles is the error's shape, and
-    differs from torque to torque: the median over the `_LEVELS` of its torques counts. Its rms is what two
-    halves of the record have in common, which is no noise. What the waves leave beyond the noise counts as
-    one more wave beside them. The deviation is by leaving out each of `_STRETCHES` stretches.
+    differs from torque to torque: the median over the `_LEVELS` of its torques counts. Its mean
+    square is less what noise adds to it. What the waves leave beyond the noise counts as
+    one more wave beside them. The deviation is by leaving out stretches, half of them at once.
     """
     some = record.thinned(_MOST_ROWS)
     laws = np.stack([centered(law, some.run) for law in usual_laws(some, rated_torque)], axis=1)
@@ -81,7 +88,7 @@ def accuracy(
     levels = np.unique(np.quantile(some.torque, _LEVELS)).tolist()
     shown = some.thinned(_MOST_SHOWN)
     shapes = [_waves(shown, np.full(shown.size, level), *given)[:, kept] for level in levels]
-    fit = _Fit(waves[:, kept], own, rest, shapes)
+    fit = _Fit(waves[:, kept], own, rest, shapes, noise[0])
     shape, std = fit.peak_to_peak()
     left = rest - own @ fit.coefficients(np.ones(_STRETCHES))
     beyond = max(float(np.mean(left**2)) * fit.freedom - noise[0], 0.0)
@@ -125,24 +132,34 @@ def _apart(waves: Floats, laws: Floats, run: Integers) -> tuple[Floats, npt.NDAr
     return own[:, kept], kept
 
 
+def _without(some: tuple[int, ...]) -> Floats:
+    """Weights (_STRETCHES,) without some of them."""
+    weight = np.ones(_STRETCHES)
+    weight[list(some)] = 0.0
+    return weight
+
+
 class _Fit:
     """Waves (n, k) fitted to a rest (n,) by what laws leave of them (n, k), stretch by stretch.
 
-    `shapes` are the same waves at some torques each (m, k).
+    `shapes` are the same waves at some torques each (m, k); the noise is a mean square [rad^2].
     """
 
-    def __init__(self, waves: Floats, own: Floats, rest: Floats, shapes: Sequence[Floats]) -> None:
+    def __init__(
+        self, waves: Floats, own: Floats, rest: Floats, shapes: Sequence[Floats], noise: float
+    ) -> None:
         stretch = np.arange(rest.size) * _STRETCHES // rest.size
         parts = [stretch == number for number in range(_STRETCHES)]
         self._gram = np.stack([own[part].T @ own[part] for part in parts])
         self._moment = np.stack([own[part].T @ rest[part] for part in parts])
+        self._prior = noise / _USUAL**2 * np.eye(own.shape[1])
         self._square, self._shapes = np.cov(waves, rowvar=False), shapes
         self.freedom = rest.size / max(rest.size - own.shape[1], 1)
 
     def coefficients(self, weight: Floats) -> Floats:
         """Of all waves (k,), stretches counting by a weight (_STRETCHES,)."""
         gram, moment = (np.tensordot(weight, one, 1) for one in (self._gram, self._moment))
-        return np.asarray(inverse(gram) @ moment)
+        return np.asarray(inverse(gram + self._prior) @ moment)
 
     def peak_to_peak(self) -> tuple[float, float]:
         """Of the waves' sum, less what noise adds to it, and its standard deviation [rad]."""
@@ -151,21 +168,21 @@ class _Fit:
         every = np.ones(_STRETCHES)
         fewer, whole = every - np.eye(_STRETCHES), self.coefficients(every)
         found = np.stack([self.coefficients(weight) for weight in fewer])
-        jackknife = (_STRETCHES - 1.0) * np.var(found, axis=0)
-        square, noise = (np.repeat(one.reshape(-1, 2).sum(axis=1), 2) for one in (whole**2, jackknife))
-        plain = square > _PLAIN * noise
-        sizes = [self._size(weight, plain) for weight in fewer]
-        return self._size(every, plain), float(np.std(sizes)) * math.sqrt(_STRETCHES - 1.0)
+        spread = (_STRETCHES - 1.0) * np.cov(found, rowvar=False, ddof=0)  # by the jackknife
+        square, noise = (np.repeat(one.reshape(-1, 2).sum(axis=1), 2) for one in (whole**2, np.diag(spread)))
+        plain, more = square > _PLAIN * noise, float(np.sum(self._square * spread))
+        sizes = [self._size(_without(some), plain, more) for some in _LEFT_OUT]
+        share = (_STRETCHES - _AT_ONCE) / _AT_ONCE  # Shao and Wu, Ann. Stat. 17, 1989: no median is smooth
+        return self._size(every, plain, more), float(np.std(sizes)) * math.sqrt(share)
 
-    def _size(self, weight: Floats, plain: npt.NDArray[np.bool_]) -> float:
+    def _size(self, weight: Floats, plain: npt.NDArray[np.bool_], more: float) -> float:
         """From peak to peak by stretches of a weight (_STRETCHES,), the median over the torques [rad].
 
-        The rms is what two halves have in common, its form that of the waves that are plain (k,).
+        Its mean square is less what noise adds [rad^2], its form that of the waves that are plain (k,).
         """
-        odd = weight * (np.arange(_STRETCHES) % 2)
-        one, other = self.coefficients(odd), self.coefficients(weight - odd)
-        common = math.sqrt(max(float(one @ self._square @ other), 0.0))
-        shown = np.where(plain, self.coefficients(weight), 0.0)
+        whole = self.coefficients(weight)
+        common = math.sqrt(max(float(whole @ self._square @ whole) - more, 0.0))
+        shown = np.where(plain, whole, 0.0)
         rms = math.sqrt(max(float(shown @ self._square @ shown), 0.0))
         if not rms:
             return math.sqrt(_EIGHT) * common
