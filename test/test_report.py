@@ -351,7 +351,7 @@ def test_every_joint_and_picture_is_told_with_ids_of_its_own() -> None:
     assert {place.removeprefix("#") for place in places} <= set(ids)
     told = dict(re.findall(r'<(?:title|desc) id="(joint1-[^"]+)">([^<]+)<', text))
     pictures = Reader(section(text)).all("svg")
-    assert len(pictures) == 9
+    assert len(pictures) == 10
     for picture in pictures:
         assert picture["role"] == "img"
         assert len(told[picture["aria-labelledby"] or ""]) > 5

@@ -45,8 +45,8 @@ _BY_MOTOR = "a motor's own friction and constant imitate it: measure the torque 
 _HIDDEN = "more than noise is left at the gear's lines: what else is wrong may hide it"
 _AMBIGUOUS = "the parameters are ambiguous: with others it may be there"
 _NOT_PREDICTED = "held-out data are predicted no better with the causes than without"
-_SHAPE = "it is the torsion's own shape: see what is left by the torque"
-_PARAMETERS = "it is a parameter of the model: see those"
+_SHAPE = "it is the torsion's own shape: see the function of torque"
+_PARAMETERS = "it is a parameter of the model: see these"
 _NO_CAUSES = {"torsional_hardening": _SHAPE, "torque_gain": _PARAMETERS, "wear_backlash": _PARAMETERS}
 """Effects that describe what parameters and remainders do, and why they are not named."""
 

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from hd_diag.diagnosis.evidence.calibration import NAMED
-from hd_diag.diagnosis.evidence.solution import Cause
 from hd_diag.formatting import arcsec, number, percent, size
 from hd_diag.report.facts import JointReport, Judgement
 from hd_diag.report.pictures import comparison
@@ -69,14 +68,13 @@ def _comparisons(found: Judgement) -> Iterator[_Drawing]:
             f"last model as the node runs it. Noise floor {floor} ({low} to {high})."
         )
         yield "ladder", "Ladder of models", comparison.model_ladder(found.ladder, rms), caption
-    causes = {cause.effect.name: cause.standing.values for cause in _weighed(found)}
-    if causes:
+    if found.weighed:
         caption = (
             "How much less probable the record is with nothing, or with another cause, in the place of each "
             "that was found, all else settled again: the natural logarithm of the odds, "
             f"{math.log(NAMED / (1.0 - NAMED)):.1f} for {100.0 * NAMED:.0f} %."
         )
-        yield "evidence", "Evidence of the causes", comparison.evidence(causes), caption
+        yield "evidence", "Evidence of the causes", comparison.evidence(found.weighed), caption
     if found.remainders:
         largest = {one.name: arcsec(float(np.abs(one.part).max())) for one in found.remainders}
         caption = (
@@ -91,12 +89,6 @@ def _comparisons(found: Judgement) -> Iterator[_Drawing]:
     stretches = f"least to greatest of {time.torque.center.size} stretches"
     caption = f"The record over time, {stretches}. Residual: {_each(ends)}."
     yield "time", "The record over time", comparison.over_time(time), caption
-
-
-def _weighed(found: Judgement) -> list[Cause]:
-    """Causes that were weighed against others."""
-    causes = (*found.diagnosis.causes, *found.diagnosis.hints)
-    return [cause for cause in causes if len(cause.standing.values) > 1]
 
 
 def _worst(found: BinnedResiduals) -> str:

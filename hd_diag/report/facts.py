@@ -82,6 +82,7 @@ class Judgement:
     marks: tuple[Mark, ...]
     ladder: tuple[Rung, ...]
     remainders: tuple[Curve, ...]
+    weighed: dict[str, Mapping[str, float]]
     stretches: int
 
 
@@ -102,6 +103,12 @@ class JointReport:
     settings: tuple[Fact, ...]
     judgement: Judgement | None
     ripple: Ripple | None = None
+
+
+def _weighed(found: Diagnosis) -> dict[str, Mapping[str, float]]:
+    """Log odds of what was weighed in the place of each cause, by names."""
+    causes = (*found.causes, *found.hints)
+    return {one.effect.name: one.standing.values for one in causes if len(one.standing.values) > 1}
 
 
 def of_diagnosis(
@@ -237,6 +244,7 @@ def _judgement(
         tuple(mark for mark in marks if mark.order <= highest),
         tuple(ladder(diagnosis, found.residual[stages.NOMINAL], fitted, rng)),
         tuple(curves(diagnosis.found)) if diagnosis.found else (),
+        _weighed(diagnosis),
         int(fitted[-1].data.block[-1]) + 1 if fitted else 0,
     )
 
