@@ -90,7 +90,12 @@ def test_the_evidence_s_bars_have_names_and_numbers() -> None:
         "output_runout": {"": -8.0, "output_runout": 0.0},
     }
     seen = texts(inline_svg(evidence(weighed), "a", "", ""))
-    rows = ["no hysteresis", "coulomb windup for it", "viscous windup for it", "no output runout"]
+    rows = [
+        "no hysteresis",
+        "coulomb windup for hysteresis",
+        "viscous windup for hysteresis",
+        "no output runout",
+    ]
     assert [text for text in seen if text in rows] == rows
     assert {"143", "30", "6.65", "8"} <= set(seen)
 

@@ -163,19 +163,17 @@ def remainders(curves: Sequence[Curve]) -> Figure:
 def evidence(weighed: Mapping[str, Mapping[str, float]]) -> Figure:
     """By how much others are worse in the place of each cause: log odds by name, of nothing the empty one."""
     rows = [(name, other, -odds[other]) for name, odds in weighed.items() for other in _by_odds(name, odds)]
-    figure, (axes,) = sheet(1.0 + 0.26 * (len(rows) + len(weighed)))
-    place, labels, at = 0.0, list[str](), list[float]()
-    for number, (name, other, worse) in enumerate(rows):
-        place += 2.0 if number and rows[number - 1][0] != name else 1.0
+    figure, (axes,) = sheet(0.9 + 0.42 * len(rows))
+    for place, (name, other, worse) in enumerate(rows):
         shown = min(worse, _NONE_WORSE)
-        axes.barh(place, shown, 0.7, color=REFIT if other else INK, lw=0)
+        axes.barh(place, shown, _FLOOR, color=REFIT if other else INK, lw=0)
         axes.annotate(f"{worse:.3g}", (shown, place), **_BESIDE)
-        labels.append(f"no {words(name)}" if not other else f"{words(other)} for it")
-        at.append(place)
+        label = f"{words(other)} for {words(name)}" if other else f"no {words(name)}"
+        axes.text(0.0, place - 0.4, label, transform=axes.get_yaxis_transform(), ha="left", va="center")
     axes.axvline(np.log(NAMED / (1.0 - NAMED)), color=INK, lw=0.8, ls=(0, (1, 1.5)))
-    axes.set(xlim=(0.0, 1.2 * _NONE_WORSE), ylim=(place + 0.7, 0.3), yticks=at, yticklabels=labels)
+    axes.set(xlim=(0.0, 1.2 * _NONE_WORSE), ylim=(len(rows) - 0.6, -0.7), yticks=[])
     axes.grid(False, axis="y")
-    titled(axes, f"Log odds against; dotted: {100.0 * NAMED:.0f} %", 0.0)
+    titled(axes, f"Log odds against; dotted: {100.0 * NAMED:.0f} %")
     return figure
 
 
