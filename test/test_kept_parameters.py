@@ -9,7 +9,8 @@ from challenge import families, records
 from joint_records import generated
 
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
-from hd_diag.diagnosis.evidence.kept_parameters import DISPLACEMENTS, ODDS, Kept, kept_parameters
+from hd_diag.diagnosis.evidence.calibration import ODDS
+from hd_diag.diagnosis.evidence.kept_parameters import DISPLACEMENTS, Kept, kept_parameters
 from hd_diag.diagnosis.evidence.search import begun
 from hd_diag.diagnosis.evidence.sets import Set
 from hd_diag.diagnosis.evidence.solution import Solution, parameters_of, solution

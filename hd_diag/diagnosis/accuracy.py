@@ -26,17 +26,18 @@ _LOADED = 3  # of them, whose waves may change with the torque
 _MEMBER_ORDERS = (2.0, 4.0)  # seen from the member that turns
 _OUTPUT_ORDERS = (1.0, 2.0, 3.0, 4.0)  # per turn of the output
 _SIDE = 0.05  # of the rated torque, over which a flank changes
-_USUAL = (
-    30.0 * ARCSEC
-)  # amplitude of a wave, of an arcminute from peak to peak: what no row tells stays small
+_USUAL = 30.0 * ARCSEC  # amplitude of a wave of an arcminute from peak to peak, the prior of each
 _ROWS_PER_COLUMN = 10
 _PLAIN = 6.0  # square of a wave over that of its deviation: noise has 0.25 % of its waves beyond
 _APART = 0.3  # of a wave, that torsion and friction must not explain
 _MOST_ROWS, _MOST_SHOWN = 20_000, 4000  # to fit, and of the shape
 _LEVELS = (0.1, 0.3, 0.5, 0.7, 0.9)  # quantiles of the torque
 _STRETCHES = 12  # of a record, of which some are left out
-_AT_ONCE = _STRETCHES // 2  # of them, for a deviation: half samples
-_LEFT_OUT = list(combinations(range(_STRETCHES), _AT_ONCE))[::9]
+_EVERY = np.ones(_STRETCHES)
+_WITHOUT_ONE = 1.0 - np.eye(_STRETCHES)
+# A median is not smooth: a hundred half samples tell its deviation (Shao and Wu, Ann. Stat. 17, 1989).
+_HALF = list(combinations(range(_STRETCHES), _STRETCHES // 2))[::9]
+_HALVES = [_WITHOUT_ONE[list(some)].min(axis=0) for some in _HALF]
 _PLACES = 72  # of an output turn
 _EIGHT = 8.0  # square of a wave from peak to peak, over its mean square
 
@@ -74,9 +75,9 @@ def accuracy(
     The greatest of many noisy values is too large. So waves are fitted: low orders of the input's turn, which
     may change with the torque, of the member that turns and of the output, and those that were found; beside
     torsion, friction and an offset of every run. Their sum at the record's angles is the error's shape, and
-    differs from torque to torque: the median over the `_LEVELS` of its torques counts. Its mean
-    square is less what noise adds to it. What the waves leave beyond the noise counts as
-    one more wave beside them. The deviation is by leaving out stretches, half of them at once.
+    differs from torque to torque: the median over the `_LEVELS` of its torques counts. Its mean square is
+    less what noise adds to it. What the waves leave beyond the noise counts as one more wave beside them. The
+    deviation is by half samples of `_STRETCHES` stretches.
     """
     some = record.thinned(_MOST_ROWS)
     laws = np.stack([centered(law, some.run) for law in usual_laws(some, rated_torque)], axis=1)
@@ -90,7 +91,7 @@ def accuracy(
     shapes = [_waves(shown, np.full(shown.size, level), *given)[:, kept] for level in levels]
     fit = _Fit(waves[:, kept], own, rest, shapes, noise[0])
     shape, std = fit.peak_to_peak()
-    left = rest - own @ fit.coefficients(np.ones(_STRETCHES))
+    left = rest - own @ fit.coefficients(_EVERY)
     beyond = max(float(np.mean(left**2)) * fit.freedom - noise[0], 0.0)
     scatter = float(np.std([np.mean(part**2) for part in np.array_split(left, _STRETCHES)], ddof=1))
     square = shape**2 / _EIGHT + beyond
@@ -132,13 +133,6 @@ def _apart(waves: Floats, laws: Floats, run: Integers) -> tuple[Floats, npt.NDAr
     return own[:, kept], kept
 
 
-def _without(some: tuple[int, ...]) -> Floats:
-    """Weights (_STRETCHES,) without some of them."""
-    weight = np.ones(_STRETCHES)
-    weight[list(some)] = 0.0
-    return weight
-
-
 class _Fit:
     """Waves (n, k) fitted to a rest (n,) by what laws leave of them (n, k), stretch by stretch.
 
@@ -165,15 +159,13 @@ class _Fit:
         """Of the waves' sum, less what noise adds to it, and its standard deviation [rad]."""
         if not self._gram.shape[1]:
             return 0.0, 0.0
-        every = np.ones(_STRETCHES)
-        fewer, whole = every - np.eye(_STRETCHES), self.coefficients(every)
-        found = np.stack([self.coefficients(weight) for weight in fewer])
+        whole = self.coefficients(_EVERY)
+        found = np.stack([self.coefficients(weight) for weight in _WITHOUT_ONE])
         spread = (_STRETCHES - 1.0) * np.cov(found, rowvar=False, ddof=0)  # by the jackknife
         square, noise = (np.repeat(one.reshape(-1, 2).sum(axis=1), 2) for one in (whole**2, np.diag(spread)))
         plain, more = square > _PLAIN * noise, float(np.sum(self._square * spread))
-        sizes = [self._size(_without(some), plain, more) for some in _LEFT_OUT]
-        share = (_STRETCHES - _AT_ONCE) / _AT_ONCE  # Shao and Wu, Ann. Stat. 17, 1989: no median is smooth
-        return self._size(every, plain, more), float(np.std(sizes)) * math.sqrt(share)
+        sizes = [self._size(weight, plain, more) for weight in _HALVES]
+        return self._size(_EVERY, plain, more), float(np.std(sizes))
 
     def _size(self, weight: Floats, plain: npt.NDArray[np.bool_], more: float) -> float:
         """From peak to peak by stretches of a weight (_STRETCHES,), the median over the torques [rad].

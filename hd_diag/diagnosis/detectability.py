@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hd_diag.diagnosis.evidence.calibration import CERTAIN_SIZE, LEAST_SIZE, NAMED
+from hd_diag.diagnosis.evidence.calibration import CERTAIN_SIZE, LEAST_SIZE, ODDS
 from hd_diag.diagnosis.evidence.evidence import Evidence
 from hd_diag.diagnosis.evidence.search import competes, is_searched
 from hd_diag.diagnosis.evidence.sets import Set, presence
@@ -82,7 +82,7 @@ def _tested(best: Set, evidence: Evidence, effect: Effect, point: Values, lackin
     share = float(np.trace(evidence.information(own, f"?{effect.name}")[0]) / max(np.trace(whole), 1e-300))
     width = 1.0  # of the prior, in usual sizes
     occam = 0.5 * float(np.sum(np.log1p(width**2 * np.maximum(np.linalg.eigvalsh(inner), 0.0))))
-    needed = math.log(NAMED / (1.0 - NAMED)) - presence(best.fit, effect) + occam
+    needed = ODDS - presence(best.fit, effect) + occam
     root = math.sqrt(2.0 * needed) + CERTAIN_SIZE  # standard deviations: of the odds, and to be there in 99 %
     by_odds = root / math.sqrt(max(float(np.trace(inner)) / effect.size, 1e-300))
     least = max(usual * by_odds, LEAST_SIZE / math.sqrt(max(share, 1e-12)))

@@ -11,7 +11,8 @@ import numpy as np
 
 from hd_diag.diagnosis.accuracy import WHOLE_TURN, Accuracy, accuracy
 from hd_diag.diagnosis.diagnosis import Diagnosis
-from hd_diag.diagnosis.evidence.kept_parameters import DISPLACEMENTS, PLAIN, TWO_SIDED
+from hd_diag.diagnosis.evidence.calibration import TWO_SIDED
+from hd_diag.diagnosis.evidence.kept_parameters import DISPLACEMENTS, PLAIN
 from hd_diag.diagnosis.evidence.solution import Cause
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.refit import usable

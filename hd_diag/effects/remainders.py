@@ -34,7 +34,7 @@ class Remainder(Effect):
     """A function with coefficients of standard normal prior, in units of its `size`.
 
     `shape` makes columns (n, count) of order one from signals and the range (`low`, `high`) that it covers;
-    beyond it the function goes on as it ends.
+    beyond it the function goes on as it ends. `follows` is the signal that it is a function of.
     """
 
     kind: Kind = "kinematic"
@@ -43,6 +43,7 @@ class Remainder(Effect):
     standard: bool = True
     confused_with: tuple[str, ...] = ()
     inspect: str = ""
+    follows: str = "torque"
     shape: Shape
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
@@ -128,6 +129,7 @@ SPEED = Remainder(
     needs=("speed",),
     source="friction that is usual, and lags of the streams",
     quantities=_quantities(len(_SIGNS) + 4, "rad", "rad/s"),
+    follows="speed",
     shape=_speed,
 )
 PLACE = Remainder(
@@ -137,6 +139,7 @@ PLACE = Remainder(
     needs=("output_angle", "torque"),
     source="flanges and encoders that are off centre as is usual, and what a link's weight does",
     quantities=_quantities(4 * len(_TURNS), "rad", "N m"),
+    follows="output_angle",
     shape=_place,
 )
 TIME = Remainder(
@@ -147,6 +150,7 @@ TIME = Remainder(
     source="zeros wander with warmth that nobody measures",
     quantities=_quantities(_KNOTS, "rad", "s"),
     lasting=False,
+    follows="time",
     shape=_time,
 )
 ORDERS = tuple(

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hd_diag.diagnosis.evidence.calibration import NAMED
+from hd_diag.diagnosis.evidence.calibration import NAMED, ODDS
 from hd_diag.formatting import arcsec, number, percent, size
 from hd_diag.report.facts import JointReport, Judgement
 from hd_diag.report.pictures import comparison
@@ -72,7 +72,7 @@ def _comparisons(found: Judgement) -> Iterator[_Drawing]:
         caption = (
             "How much less probable the record is with nothing, or with another cause, in the place of each "
             "that was found, all else settled again: the natural logarithm of the odds, "
-            f"{math.log(NAMED / (1.0 - NAMED)):.1f} for {100.0 * NAMED:.0f} %."
+            f"{ODDS:.1f} for {100.0 * NAMED:.0f} %."
         )
         yield "evidence", "Evidence of the causes", comparison.evidence(found.weighed), caption
     if found.remainders:

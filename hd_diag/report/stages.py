@@ -10,7 +10,7 @@ import numpy as np
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.evidence.calibration import LEAST_SIZE
-from hd_diag.diagnosis.evidence.solution import Solution
+from hd_diag.diagnosis.evidence.solution import Solution, part_of
 from hd_diag.diagnosis.extension import running_residual
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.design import solve
@@ -20,7 +20,7 @@ from hd_diag.diagnosis.fit.refit import usable
 from hd_diag.diagnosis.record import Record
 from hd_diag.drive import Drive, transmission_error
 from hd_diag.effects.order_spectrum import spectrum
-from hd_diag.effects.remainders import PLACE, SPEED, TIME, TORQUE, Remainder
+from hd_diag.effects.remainders import Remainder
 from hd_diag.formatting import words
 from hd_diag.report.teeth import strongest_torque
 
@@ -218,25 +218,20 @@ class Curve(NamedTuple):
     part: Floats
 
 
-_FOLLOWED = {
-    TORQUE: ("torque", "N m"),
-    SPEED: ("speed", "rad/s"),
-    PLACE: ("output_angle", "rad"),
-    TIME: ("time", "s"),
-}
+_UNITS = {"torque": "N m", "speed": "rad/s", "output_angle": "rad", "time": "s"}
 
 
 def curves(found: Solution) -> list[Curve]:
-    """The remainders that are large enough to be told; lines over the torque's magnitude."""
+    """The remainders that are large enough to be told; lines over the torque."""
     result = []
     for one in found.functions:
         if one.rms < LEAST_SIZE:
             continue
-        signal, unit = _FOLLOWED.get(one.effect, ("torque", "N m"))
-        place = getattr(found.fit.signals, signal)
+        place = getattr(found.fit.signals, one.effect.follows)
         order = np.argsort(place, kind="stable")[:: max(place.size // _CURVE_POINTS, 1)]
-        part = found.fit.columns(one.effect, one.nonlinear) @ one.coefficients
-        result.append(Curve(words(one.effect.name), unit, place[order], (part - part.mean())[order]))
+        part = part_of(found.fit, one.effect, one.nonlinear, one.coefficients)
+        unit = _UNITS[one.effect.follows]
+        result.append(Curve(words(one.effect.name), unit, place[order], part[order]))
     return result
 
 

@@ -22,6 +22,9 @@ UNKNOWN = math.log(0.02)
 NAMED, HINTED = 0.99, 0.5
 """Probability from which a class is named, and from which it is a hint: one false alarm in a hundred."""
 
+ODDS = math.log(NAMED / (1.0 - NAMED))
+"""Log odds of the first."""
+
 LEAST_SIZE = 0.5 * ARCSEC
 """Own part that a cause must have [rad rms]: less than any joint's lines have as a rule asks for nothing."""
 
@@ -47,6 +50,9 @@ CLASS_SHARE = 0.99
 
 CERTAIN_SIZE = 2.326
 """Standard deviations below a size that leave 99 %."""
+
+TWO_SIDED = 1.96
+"""Standard deviations to either side of a value that make its 95 % interval."""
 
 MOST_ALIKE = 5
 """Causes that a class may hold and still say something: a repair has to begin with one."""

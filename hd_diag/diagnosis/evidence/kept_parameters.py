@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.diagnosis.evidence.calibration import NAMED
+from hd_diag.diagnosis.evidence.calibration import ODDS, TWO_SIDED
 from hd_diag.diagnosis.evidence.sets import Set
 from hd_diag.diagnosis.evidence.solution import Solution, parameters_of
 from hd_diag.diagnosis.fit import fit_parameters
@@ -22,16 +21,10 @@ DISPLACEMENTS = frozenset(("eccentricity", "runout"))
 HELD = DISPLACEMENTS | {"tilt"}
 """Groups that may be held."""
 
-TWO_SIDED = 1.96
-"""Standard deviations to either side of a value that make its 95 % interval."""
-
 PLAIN = 1600.0
 """Square of standard deviations beyond which no test is needed."""
 
 _NO_DOUBT = 150.0  # the same, beyond which the tempered evidence is none of noise
-
-ODDS = math.log(NAMED / (1.0 - NAMED))
-"""Log odds by which a parameter is another than configured."""
 
 _BOUND_STEPS = {"eccentricity": 1, "tilt": 4}  # to where a bound is, from one unit on
 
@@ -44,12 +37,12 @@ class Kept:
     ----------
     bounds : dict
         By the group's name, in units of :func:`fit_parameters.units`.
-    free : Set, optional
-        The same causes where nothing is held.
+    free : tuple of Set
+        The same causes where nothing is held; empty where nothing is.
     """
 
     bounds: dict[str, float]
-    free: Set | None = None
+    free: tuple[Set, ...] = ()
 
     @property
     def held(self) -> tuple[int, ...]:
@@ -75,7 +68,7 @@ class Kept:
         plain = _half_widths(spread)
         reach = plain.copy()
         reach[DATUM] = max(reach[DATUM], datum_reach)
-        for rival in (*rivals, *([self.free] if self.free else [])):
+        for rival in (*rivals, *self.free):
             other, own = _fitted(rival.fit, rival.chosen), covariance(rival.fit, rival.chosen)[0]
             ways = (np.abs(one - found) for one in alike(other, fit.data.configured))
             away = min(ways, key=_squared_displacement)
@@ -129,7 +122,7 @@ def kept_parameters(free: Set) -> tuple[Set, Kept]:
     bounds = _bounds(fit, chosen, [*undetermined, *held])
     if bounds.keys() >= DISPLACEMENTS:  # beside none a runout is free to be anything
         bounds["runout"] = _bound(replace(best.fit, held=()), best.chosen, "runout")
-    return best, Kept(bounds, free if held else None)
+    return best, Kept(bounds, (free,) if held else ())
 
 
 def _configured(fit: LinearisedFit) -> Floats:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.diagnosis.evidence.calibration import NAMED
+from hd_diag.diagnosis.evidence.calibration import NAMED, TWO_SIDED
 from hd_diag.diagnosis.evidence.sets import Remainders, Set, presence
 from hd_diag.diagnosis.evidence.unmodelled_terms import OUTPUT_LINES, UNMODELLED_TERMS
 from hd_diag.diagnosis.fit import fit_parameters
@@ -34,7 +34,6 @@ _HOPELESS = 100.0  # log odds, beyond which another minimum is not followed
 _CLOSE = 10.0  # log odds, within which a set is settled before it is judged
 _NEARLY = 5.0  # the same, within which its nonlinear values are settled as well
 _DATUM_STEPS = (2.0, 4.0, 8.0, 16.0)  # to either side, in units of the parameters
-_AT_95 = 1.96**2  # deviance
 _PLAINLY = 25.0  # log odds on some rows, from which a cause holds on all
 _TO_MINIMUM = 5  # rounds of settling
 _FIRST, _TURN = 0.15, 0.6  # of the time, that is gone before; of what is left of the search, after each turn
@@ -185,7 +184,10 @@ def search(
         minima = [one.on(turned) for one in minima]
         minima.append(turned)
     minima.sort(key=lambda one: -one.value)
-    minima.insert(0, _along_datum(minima[0])[0])
+    scanned, rows = minima[0], every.data.at.size
+    better, reach = _along_datum(scanned, rows)
+    if better is not scanned:
+        minima.insert(0, better)
     instead = Instead()
     with work.until(SEARCHED, FURTHER_CAUSES):
         for turn in range(_TURNS):
@@ -195,9 +197,9 @@ def search(
                 break
             others = [one for one in minima if one.value > minima[0].value - _HOPELESS]
             minima = _at_minima(found, others, rng)
-    best, reach = _along_datum(minima[0], every.data.at.size / minima[0].fit.data.at.size)
-    minima[0] = best
-    best, known = best.moved_to(every).settled(_TO_MINIMUM).relearned(), _plain(instead)
+    if minima[0] is not scanned:
+        minima[0], reach = _along_datum(minima[0], rows)
+    best, known = minima[0].moved_to(every).settled(_TO_MINIMUM).relearned(), _plain(instead)
     instead = known
     with work.until(SEARCHED, FURTHER_CAUSES):
         for turn in range(_TURNS):
@@ -298,13 +300,13 @@ def _choices(effect: Effect, nonlinear: tuple[float, ...]) -> tuple[float, ...]:
     return tuple(value for quantity, value in pairs if quantity.discrete)
 
 
-def _along_datum(best: Set, rows: float = 1.0) -> tuple[Set, float]:
-    """The best set with any datum, and how far the datum reaches at 95 % were there `rows` times as many.
+def _along_datum(best: Set, rows: int) -> tuple[Set, float]:
+    """The best set with any datum, and how far the datum reaches at 95 % by so many rows as there are in all.
 
     A torsion of another shape imitates its step at the zero of the torque, of which no slope tells: so it is
     held at values to either side, all else settled there (a profile likelihood).
     """
-    better, reach = best, 0.0
+    better, reach, times = best, 0.0, rows / best.fit.data.at.size
     for side in (1.0, -1.0):
         fit, before, known = best.fit, (0.0, 0.0), False
         for away in _DATUM_STEPS:
@@ -314,12 +316,12 @@ def _along_datum(best: Set, rows: float = 1.0) -> tuple[Set, float]:
                 break
             held = replace(fit.moved(start), held=(*best.fit.held, DATUM)).beside(fit.present)
             fit = settle(held, best.chosen, 1, learn=False)
-            worse = rows * (fit.deviance(best.chosen) - best.fit.deviance(best.chosen))
+            worse = times * (fit.deviance(best.chosen) - best.fit.deviance(best.chosen))
             if not known:
-                known = worse > _AT_95  # it grows with the square
-                share = math.sqrt(max(_AT_95 - before[1], 0.0) / (worse - before[1])) if known else 1.0
+                known = worse > TWO_SIDED**2  # it grows with the square
+                share = math.sqrt(max(TWO_SIDED**2 - before[1], 0.0) / (worse - before[1])) if known else 1.0
                 reach = max(reach, before[0] + share * (away - before[0]))
-            if worse > rows * _HOPELESS:
+            if worse > times * _HOPELESS:
                 break
             # Where it gets better again there is another minimum.
             if worse < before[1]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 
@@ -10,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hd_diag.arrays import Floats
-from hd_diag.diagnosis.evidence.calibration import LEAST_SIZE, NAMED, TEMPER
+from hd_diag.diagnosis.evidence.calibration import LEAST_SIZE, ODDS, TEMPER
 from hd_diag.diagnosis.evidence.naming import Standing
 from hd_diag.diagnosis.evidence.order_table import OrderRow
 from hd_diag.diagnosis.evidence.sets import Set
@@ -19,11 +18,10 @@ from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.design import interval
 from hd_diag.diagnosis.fit.joint_refinement import covariance
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
-from hd_diag.effects.effect import Effect
+from hd_diag.effects.effect import Effect, Values
 from hd_diag.effects.motor_current import MotorCurrent
 from hd_diag.effects.remainders import Remainder
 
-_FORETOLD = math.log(NAMED / (1.0 - NAMED))  # of what was held out, as of a cause
 _CHANCE_SHARE = 3.0  # times what noise alone gives to the columns of what wanders
 
 
@@ -163,20 +161,24 @@ def solution(best: Set, standings: dict[str, Standing], rng: np.random.Generator
     return Solution(fit, causes, given, functions=_functions(fit, chosen, larger))
 
 
+def part_of(fit: LinearisedFit, effect: Remainder, nonlinear: Values, coefficients: Floats) -> Floats:
+    """What a remainder adds along the rows of a fit, about its mean (n,) [rad]."""
+    part = fit.columns(effect, nonlinear) @ coefficients
+    return np.asarray(part - part.mean())
+
+
 def _functions(fit: LinearisedFit, chosen: Chosen, larger: Collection[str]) -> tuple[Function, ...]:
     """The remainders among the chosen effects."""
     beta, built = fit.fit(chosen)[0], fit.design(chosen)
-    s, found = fit.signals, []
-    along = {"torque": s.torque, "speed": s.speed, "place": s.output_angle, "time": s.time}
+    found = []
     for (effect, nonlinear), place in zip(chosen, fit.places(chosen), strict=True):
         if not isinstance(effect, Remainder):
             continue
-        part = fit.columns(effect, nonlinear) @ beta[place]
-        part = part - part.mean()
+        part = part_of(fit, effect, nonlinear, beta[place])
         rms, most = float(np.std(part)), int(np.argmax(np.abs(part)))
-        where = along.get(effect.name.removeprefix("function_of_"), s.torque)
+        where = getattr(fit.signals, effect.follows)
         foretold = 0.5 * TEMPER * float(built.held_out_gain(place)[0].sum())  # log odds
-        described = effect.lasting and rms >= LEAST_SIZE and foretold > _FORETOLD
+        described = effect.lasting and rms >= LEAST_SIZE and foretold > ODDS
         found.append(
             Function(
                 effect,

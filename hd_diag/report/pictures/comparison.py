@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
 from hd_diag.arrays import Floats
-from hd_diag.diagnosis.evidence.calibration import NAMED
+from hd_diag.diagnosis.evidence.calibration import NAMED, ODDS
 from hd_diag.diagnosis.gain import Rms
 from hd_diag.diagnosis.ripple.ripple import Ripple
 from hd_diag.formatting import ARCSEC, words
@@ -170,7 +170,7 @@ def evidence(weighed: Mapping[str, Mapping[str, float]]) -> Figure:
         axes.annotate(f"{worse:.3g}", (shown, place), **_BESIDE)
         label = f"{words(other)} for {words(name)}" if other else f"no {words(name)}"
         axes.text(0.0, place - 0.4, label, transform=axes.get_yaxis_transform(), ha="left", va="center")
-    axes.axvline(np.log(NAMED / (1.0 - NAMED)), color=INK, lw=0.8, ls=(0, (1, 1.5)))
+    axes.axvline(ODDS, color=INK, lw=0.8, ls=(0, (1, 1.5)))
     axes.set(xlim=(0.0, 1.2 * _NONE_WORSE), ylim=(len(rows) - 0.6, -0.7), yticks=[])
     axes.grid(False, axis="y")
     titled(axes, f"Log odds against; dotted: {100.0 * NAMED:.0f} %")
