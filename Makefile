@@ -93,8 +93,8 @@ pytest: install
 	@$(call IN,test) pytest $(call SPREAD,3) --durations=10 $(SELECTED) $(PYTEST_ARGS)
 
 # Arithmetic of model, drive, effects, monitor (with its streams) and diagnosis; what else there is does not depend on numpy.
-NUMERICAL = acceptance contact design drive effects extended_model fit_parameters joint_refinement \
-       linearised_fit load_sharing monitor noise refit smoothing torsion torsion_map
+NUMERICAL = contact design drive effects evidence extended_model fit_parameters joint_refinement \
+       linearised_fit load_sharing monitor noise refit remainders smoothing torsion torsion_map
 pytest-ubuntu:
 	@python=$$(sh scripts/find_python.sh '$(PYTHON)') && \
 	if "$$python" -c 'import sys; sys.exit(sys.version_info < (3, 13))'; then \
