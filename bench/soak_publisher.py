@@ -24,6 +24,7 @@ from sensor_msgs.msg import JointState
 from hd_diag.messages.encoding import encode_joint_states
 
 LATE = 0.1  # what is made up for where the machine kept it waiting [s]
+ERROR, NOISE = 2e-5, 2e-6  # of the outputs: amplitude of order 2 of the input, standard deviation [rad]
 END_LIMIT = 60.0  # for the node to have all [s]
 
 
@@ -64,11 +65,13 @@ def publish(joints: int, rate: float, number: int, file: Path) -> None:
 
 
 def block(joints: int, sent: int, first: int, step: int, size: int = 250) -> tuple[list[bytes], list[int]]:
-    """Messages of joints that swing, and their stamps."""
+    """Messages of joints that swing, with an error that repeats and noise, and their stamps."""
     stamp = first + step * np.arange(size)
     time_ = step * 1e-9 * (sent + np.arange(size))
     angle, torque = 20.0 * np.sin(time_), 30.0 * np.cos(0.3 * time_)
-    position = np.stack([angle, angle / 100.0] * joints, axis=1)
+    noise = np.random.default_rng(sent).normal(0.0, NOISE, (joints, size))
+    output = angle / 100.0 + ERROR * np.sin(2.0 * angle) + noise
+    position = np.stack([column for own in output for column in (angle, own)], axis=1)
     effort = np.stack([0.0 * torque, torque] * joints, axis=1)
     rows = encode_joint_states(names(joints), stamp, position, None, effort)
     return [row.tobytes() for row in rows], stamp.tolist()

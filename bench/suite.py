@@ -64,7 +64,9 @@ def main() -> int:
     parser.add_argument(
         "--only", nargs="+", choices=sorted(sections), metavar="SECTION", help=", ".join(sections)
     )
-    parser.add_argument("--seconds", type=float, default=60.0, help="of the record that is read and replayed")
+    parser.add_argument(
+        "--seconds", type=float, default=600.0, help="of the record that is read and replayed"
+    )
     parser.add_argument("--json", type=Path, help="keep the figures, such as bench/results.json")
     parser.add_argument("--markdown", type=Path, help="the table for a page, such as docs/tables/suite.md")
     options = parser.parse_args()

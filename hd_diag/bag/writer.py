@@ -229,7 +229,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         publish_times: npt.ArrayLike | None = None,
     ) -> None:
         """Append n messages of one topic, as `write`; fast where they are an array of shape (n, size)."""
-        self.add_topic(topic, type_name)
+        stream = self._stream(topic, type_name, None, None)
         times = np.asarray(log_times, np.int64)
         published = times if publish_times is None else np.asarray(publish_times, np.int64)
         every = (times,) if published is times else (times, published)
@@ -244,7 +244,6 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             while done < len(times):
                 self._split_if_due(int(times[done]))
                 part = slice(done, self._until_split(times, done))
-                stream = self._streams[topic, type_name]
                 done += self._file.add_rows(stream, times[part], published[part], rows[part])
             self._file.close_old_chunk(time.monotonic(), self._flush_period)
 

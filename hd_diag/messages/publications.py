@@ -38,6 +38,9 @@ OWN_OUTPUTS = ("/transmission_error", "/measured_transmission_error", "/residual
 
 _NANOSECONDS = 1_000_000_000
 
+_REPEATED = 4096
+"""Texts of diagnostics that are remembered: a joint has 130."""
+
 LAST_TIME = 2**31 * _NANOSECONDS - 1
 """Last time that a builtin_interfaces/Time can hold: January 2038 [ns]."""
 
@@ -148,7 +151,7 @@ def _diagnostics(report: Report, node: str) -> bytes:
         parts = [bytes(-len(body) % 4), text(status.name), text(status.message)]
         parts += [text(f"{node}/{status.joint}"), _count(status.values)]
         for key, value in status.values.items():
-            parts += [_key(key), text(value)]
+            parts += (_told(key), _told(value))
         parts[-1] = text(value, 1)
         body += b"".join(parts)
     return HEADER + bytes(body)
@@ -158,7 +161,7 @@ def _count(values: Sized) -> bytes:
     return struct.pack("<I", len(values))
 
 
-_key = functools.cache(text)  # of diagnostics, which are the same in every report
+_told = functools.lru_cache(_REPEATED)(text)  # most of a report is as in the one before
 
 
 def _parameter(name: str, value: Any) -> Any:

@@ -25,8 +25,7 @@ def spread(work: Callable[[int, int], object], size: int, share: int) -> None:
     thread takes `share` rows at a time. The threads end with the call, so that a process that is forked later
     finds none of them.
     """
-    threads = min(cores(), size // (2 * share)) if size >= 4 * share else 1
-    if threads < 2:
+    if size < 4 * share or (threads := min(cores(), size // (2 * share))) < 2:
         work(0, size)
         return
     shares = iter([(first, min(first + share, size)) for first in range(0, size, share)])

@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -89,11 +90,11 @@ def status(
     config, state, residuals = joint.config, joint.state, window.residual
     angle, torque = (state["angle"], state["load"]) if joint.samples else (math.nan, math.nan)
     rms = float(np.std(residuals)) if residuals.size > 1 else math.nan
-    orders, mesh, loads = joint.orders.known(), _mesh(joint), tooth_loads(config.drive)
+    orders, mesh, loads = joint.orders.known(), _mesh(joint), _loads(joint)
     order = max(orders, key=lambda order: (order.repeats, order.amplitude), default=Order())
     why = facts.get(absence_of(config.name)) or absence(joint, window, streams.before)
     stale = f"no valid sample for {silence:.1f} s: {why}"
-    faults = _faults(joint, window, (silence, stale), facts, rms, mesh) + _model_faults(joint, window)
+    faults = _faults(joint, window, (silence, stale), facts, rms, mesh, loads) + _model_faults(joint, window)
     of_log = _log_faults(facts)
     faults += [*_order_faults(joint, orders), *of_log]
     faults = [*(fault for fault in faults if fault[1]), ("OK", 0, "OK")]
@@ -115,11 +116,11 @@ def status(
         "prediction_error_bound_arcsec": 0.0 if table is None else table.error_bound / ARCSEC,
         **_model_values(joint),
         **mesh,
-        "interference": _truth(loads.overlap > built_overlap(drive.mesh.geometry)),
-        "overlap_um": loads.overlap * 1e6,
-        "idle_tooth_load_N": loads.idle,
-        "rated_tooth_load_N": loads.rated,
-        "tooth_load_margin_lost_percent": 100.0 * _margin_lost(joint),
+        "interference": _truth(loads.real.overlap > built_overlap(drive.mesh.geometry)),
+        "overlap_um": loads.real.overlap * 1e6,
+        "idle_tooth_load_N": loads.real.idle,
+        "rated_tooth_load_N": loads.real.rated,
+        "tooth_load_margin_lost_percent": 100.0 * loads.margin_lost,
         "residual_rms_arcsec": rms / ARCSEC,
         "residual_mean_arcsec": float(np.mean(residuals)) / ARCSEC if residuals.size else math.nan,
         "residual_order": order.name,
@@ -152,6 +153,7 @@ def _faults(
     facts: Mapping[str, str],
     residual: float,
     mesh: Mapping[str, float],
+    loads: _Loads,
 ) -> list[Fault]:
     limits, has_samples = joint.config.limits, joint.samples > 0
     seen = window.accepted + window.rejected
@@ -163,11 +165,10 @@ def _faults(
         ("OUT_OF_RANGE", "torque", torque, f"torque is {torque:.2f} times the rated torque"),
     ]
     if has_samples:
-        loads = tooth_loads(joint.config.drive)
         peak, ratio = mesh["peak_tooth_load_N"], mesh["load_concentration"]
         concentrated = f"peak tooth load is {ratio:.1f} times the mean"
         judged += [
-            ("INTERFERENCE", "overlap", loads.overlap, _interference(joint, loads)),
+            ("INTERFERENCE", "overlap", loads.real.overlap, _interference(loads)),
             ("LOAD_CONCENTRATION", "peak_tooth_load", peak, f"peak tooth load {peak:.1f} N"),
             ("LOAD_CONCENTRATION", "load_concentration", ratio, concentrated),
         ]
@@ -190,27 +191,39 @@ def _log_faults(facts: Mapping[str, str]) -> list[Fault]:
     return [("LOG_FAILED", 1, text) for text in [*texts, *([f"log: {warning}"] if warning else [])]]
 
 
-def _interference(joint: Joint, loads: ToothLoads) -> str:
+def _interference(loads: _Loads) -> str:
     """How far the lobes overlap, and what that does to the teeth."""
-    even, limit = _even_loads(joint.config.drive).rated, joint.config.limits["peak_tooth_load"].warn
     return (
-        f"the lobes overlap by {loads.overlap * 1e6:.1f} µm; they press a tooth with {loads.idle:.0f} N "
-        f"without torque; at the rated torque it bears {loads.rated:.0f} N, not {even:.0f} N as if centred; "
-        f"{100.0 * _margin_lost(joint):.0f} % of the margin to {limit:.0f} N is lost"
+        f"the lobes overlap by {loads.real.overlap * 1e6:.1f} µm; they press a tooth with "
+        f"{loads.real.idle:.0f} N without torque; at the rated torque it bears {loads.real.rated:.0f} N, not "
+        f"{loads.even.rated:.0f} N as if centred; {100.0 * loads.margin_lost:.0f} % of the margin to "
+        f"{loads.limit:.0f} N is lost"
     )
 
 
+class _Loads(NamedTuple):
+    """What a joint's teeth bear as it is assembled, and as if centred; the limit of a tooth's load [N]."""
+
+    real: ToothLoads
+    even: ToothLoads
+    limit: float
+
+    @property
+    def margin_lost(self) -> float:
+        """Share of the tooth load's margin at the rated torque that eccentricity and tilt take."""
+        margin = self.limit - self.even.rated
+        return (self.real.rated - self.even.rated) / margin if margin > 0.0 else math.nan
+
+
+def _loads(joint: Joint) -> _Loads:
+    return _Loads(*_both_loads(joint.config.drive), joint.config.limits["peak_tooth_load"].warn)
+
+
 @lru_cache(maxsize=512)
-def _even_loads(drive: Drive) -> ToothLoads:
-    """What the teeth of a drive bear without eccentricity."""
-    return tooth_loads(replace(drive, mesh=replace(drive.mesh, eccentricity=0.0, runout=0.0)))
-
-
-def _margin_lost(joint: Joint) -> float:
-    """Share of the tooth load's margin at the rated torque that eccentricity takes."""
-    loads, even = tooth_loads(joint.config.drive), _even_loads(joint.config.drive)
-    margin = joint.config.limits["peak_tooth_load"].warn - even.rated
-    return (loads.rated - even.rated) / margin if margin > 0.0 else math.nan
+def _both_loads(drive: Drive) -> tuple[ToothLoads, ToothLoads]:
+    """What the teeth of a drive bear, and what they would without eccentricity and tilt."""
+    centred = replace(drive.mesh, eccentricity=0.0, runout=0.0, tilt=0.0)
+    return tooth_loads(drive), tooth_loads(replace(drive, mesh=centred))
 
 
 def _order_faults(joint: Joint, orders: Sequence[Order]) -> list[Fault]:

@@ -94,11 +94,19 @@ def _usual_step(steps: Floats) -> float:
         return 0.0
     span = max(1, min(_STEPS_TOGETHER, steps.size // 2))
     time = np.append(0.0, np.cumsum(steps))
-    usual = np.median(time[span:] - time[:-span]) / span
+    usual = _median(time[span:] - time[:-span]) / span
     # With many losses there is one in most spans; where the sender keeps its period a single step tells it.
-    single = np.median(steps)
+    single = _median(steps)
     is_kept = np.sum(np.abs(steps - single) < _KEPT * single) > 0.5 * steps.size
     return float(single if is_kept and single > 0.5 * usual else usual)
+
+
+def _median(values: Floats) -> float:
+    """Median of finite values; numpy's own takes four times as long for a second of samples."""
+    half = values.size // 2
+    least = half - 1 + values.size % 2
+    ordered = np.partition(values, (least, half))
+    return float(0.5 * (ordered[least] + ordered[half]))
 
 
 class Joint:

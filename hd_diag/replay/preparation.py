@@ -1,4 +1,4 @@
-"""What a monitor needs before its first sample, in little memory."""
+"""What a monitor needs before its first sample."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from typing import Any
 
 import hd_diag
 from hd_diag.config.configuration import Config, resolve
-from hd_diag.memory import give_back
 from hd_diag.messages import encoding
 from hd_diag.model import torsion
 from hd_diag.monitor.all_joints import warm_up
@@ -24,7 +23,6 @@ def prepare(config: Config) -> None:
     warm_up(config)
     torsion.warm_up()
     encoding.warm_up()
-    give_back()
 
 
 def changed_since(kernel: Any) -> bool:
