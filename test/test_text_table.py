@@ -192,6 +192,11 @@ GUESSED = {
         {"time": 1e6, "input": 180 / np.pi},
         "time=time_us[us],input=motor_q_deg[deg],output=link_q_rad,torque=from_current_Nm[Nm]",
     ),
+    "torque of a current": (
+        "t,motor_position,link_position,torque_by_current",
+        {},
+        "time=t,input=motor_position,output=link_position,torque=torque_by_current",
+    ),
     "nameless": ("", {}, "time=1,input=2,output=3"),
     "swapped names": ("time,a=b,c[0],tau", {}, "time=time,input=2,output=3,torque=tau"),
 }
@@ -231,3 +236,12 @@ def test_one_angle_in_a_table_is_for_ripple(given: dict[str, np.ndarray], tmp_pa
     assert line == f"hd-diag ripple {path} --columns time=t,output=q,torque=tau"
     result = hd_diag(*shlex.split(line)[1:])
     assert "columns" not in result.stderr
+
+
+def test_a_measured_torque_is_guessed_before_a_models(given: dict[str, np.ndarray], tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    model = 0.1 * given["torque"]
+    columns = given["time"], given["output"], model, given["torque"]
+    np.savetxt(path, np.stack(columns, axis=1), delimiter=",", header="t,q,tau_model,tau", comments="")
+    line = hd_diag("topics", path).stdout.splitlines()[-1]
+    assert line == f"hd-diag ripple {path} --columns time=t,output=q,torque=tau"

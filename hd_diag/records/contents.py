@@ -33,12 +33,13 @@ _PLAIN = re.compile(r"[^\[\]{}\x00-\x1f\x7f]+")
 # What a number is, by the words for it in the names of its fields; the first that fits.
 _KINDS = {
     "temperature": r"temp",
-    "current": r"current|ampere|(?<![a-z])amps?(?![a-z])",
-    "torque": r"torque|effort|(?<![a-z])d?tau",
+    "current": r"(?<!by.)(?<!from.)current(?!.?torque)|ampere|(?<![a-z])amps?(?![a-z])",
+    "torque": r"torque|effort|(by|from).current|(?<![a-z])d?tau",
     "velocity": r"veloc|speed|(?<![a-z])d(q|theta)(?![a-z])|(?<![a-z])qd(?![a-z])",
     "angle": r"posit|angle|(?<![a-z])theta|(?<![a-z])q(?![a-z])",
 }
 _COMMANDED = re.compile(r"command|desired|target|set_?point|reference|goal|error|(?<![a-z])ipo|_d(?![a-z])")
+_COMPUTED = re.compile(r"model|predict|simulat|expected|feed_?forward", re.IGNORECASE)
 _USUAL = {"temperature": "degC", "current": "A", "torque": "N m", "velocity": "rad/s", "angle": "rad"}
 _RATIOS = 28.0, 400.0  # of a harmonic drive
 _SAME_SIDE = 0.02  # allowed difference from 1 of the slope of two angles at one side
@@ -259,12 +260,18 @@ def pairs(angles: list[NumericField]) -> list[AnglePair]:
 
 
 def beside(every: list[NumericField], output: NumericField, *kinds: str) -> NumericField | None:
-    """A number of the same joint, of the first of some kinds; in the same topic where there is one."""
+    """A number of the same joint, of the first of some kinds; in the same topic where there is one.
+
+    What a model says comes last.
+    """
     own = [n for n in every if n.tag == output.tag and n.kind in kinds and not _COMMANDED.search(n.field)]
     own = [n for n in own if n.known and (n.topic is output.topic or not n.tag.isdecimal())]
-    return min(
-        own, key=lambda n: (not n.moves, n.topic is not output.topic, kinds.index(n.kind)), default=None
-    )
+    return min(own, key=lambda n: _distance(n, output, kinds), default=None)
+
+
+def _distance(number: NumericField, output: NumericField, kinds: Sequence[str]) -> tuple[object, ...]:
+    is_computed = _COMPUTED.search(number.field) is not None
+    return not number.moves, is_computed, number.topic is not output.topic, kinds.index(number.kind)
 
 
 def _unlike(batch: Any) -> Iterator[bytes]:
