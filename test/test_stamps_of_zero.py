@@ -59,6 +59,15 @@ def test_stamps_of_zero_are_the_time_of_reception_and_that_is_said(tmp_path: Pat
     assert "time of reception" in hd_diag("topics", path).stdout
 
 
+def test_the_rate_is_that_of_most_stamps(tmp_path: Path) -> None:
+    """A simulation's clock begins at zero, far from the time of reception that stands for it."""
+    path = bag(tmp_path / "a.mcap", messages("/joint_states", LOG - START))
+    result = hd_diag("topics", path, "--json", tmp_path / "t.json")
+    assert f"the stamps of 1 of {COUNT} messages are zero" in result.stdout
+    (topic,) = json.loads((tmp_path / "t.json").read_text())["topics"]
+    assert topic["rate"] == pytest.approx(200.0, rel=1e-3)
+
+
 def test_a_replay_of_them_is_reproduced_to_the_last_bit(tmp_path: Path) -> None:
     path = bag(tmp_path / "a.mcap", messages("/joint_states", 0 * LOG))
     result = replay(path, tmp_path / "log", resolve({"array_rate": 0.0}))

@@ -32,6 +32,7 @@ from hd_diag.records.table_columns import TableColumns, table_columns
 _SHOWN, _NAMED = 40, 12  # numbers of a topic; joints of a publisher
 _TABLES = (".csv", ".tsv", ".txt", ".dat", ".asc")
 _TORQUES = "torque", "current"
+_BULK = 0.01, 0.99  # of the stamps that tell a rate
 _DIFFERS = 0.02  # relative difference allowed between the ratio of two angles and a described one
 
 
@@ -207,9 +208,12 @@ def _topic(duration: float, topic: Topic, content: Contents) -> dict[str, Any]:
 
 
 def _rate(stamps: Floats) -> float | None:
-    """How often messages with these stamps [s] came [Hz]; None where that is unknown."""
-    span = float(np.ptp(stamps)) if stamps.size > 1 else 0.0
-    return (stamps.size - 1) / span if span > 0.0 else None
+    """How often messages with these stamps [s] came [Hz]; None where that is unknown.
+
+    Those of the bulk tell: a few stamps may be of another clock.
+    """
+    span = float(np.ptp(np.quantile(stamps, _BULK))) if stamps.size > 1 else 0.0
+    return float(np.ptp(_BULK)) * (stamps.size - 1) / span if span > 0.0 else None
 
 
 def _alone(every: list[NumericField], paired: set[int]) -> list[NumericField]:
