@@ -75,6 +75,36 @@ def test_a_wave_that_was_found_counts_by_its_own_peaks() -> None:
     assert found(record(both)).value == pytest.approx(np.hypot(60.0, 40.0), abs=3.0)
 
 
+def bouc_wen(load: np.ndarray) -> np.ndarray:
+    """Loop between -1 and 1 that gives way over a tenth of the rated torque."""
+    state, loop = 0.0, []
+    for change in np.diff(load, prepend=load[0]):
+        state += 10.0 * (change - abs(change) * state)
+        loop.append(state)
+    return np.array(loop)
+
+
+def test_torsion_of_any_shape_is_no_error_of_the_gear() -> None:
+    """Its knee and its loop, a hundred arcsec each, beside lobes of 60 from peak to peak."""
+
+    def torsion(angle: np.ndarray, load: np.ndarray) -> np.ndarray:
+        return lobes(angle, load) + 50.0 * np.clip(load / 0.2, -1.0, 1.0) + 50.0 * bouc_wen(load)
+
+    one = found(record(torsion))
+    assert one.value == pytest.approx(60.0, abs=3.0)
+    assert one.std < 4.0
+
+
+def test_a_drift_is_no_error_of_the_gear() -> None:
+    """It makes waves of the output's turn uncertain, and says so."""
+
+    def drifting(angle: np.ndarray, load: np.ndarray) -> np.ndarray:
+        return lobes(angle, load) + 50.0 * np.sin(np.linspace(0.0, 9.0, load.size))
+
+    one = found(record(drifting))
+    assert abs(one.value - 60.0) < 2.0 * one.std < 30.0
+
+
 def test_what_the_record_does_not_cover_is_told() -> None:
     """Of a third of a turn, its own part of the shape: a slow wave looks like torsion and offsets there."""
     part = found(record(lobes, turns=0.3))

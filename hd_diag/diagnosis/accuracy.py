@@ -12,9 +12,11 @@ import numpy.typing as npt
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.fit.design import inverse
+from hd_diag.diagnosis.noise import numbered
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.regression import centered, usual_laws
 from hd_diag.effects.quantity import turning
+from hd_diag.effects.recursions import slip
 from hd_diag.formatting import ARCSEC
 from hd_diag.model.transmission_error import Kinematics
 
@@ -38,6 +40,8 @@ _WITHOUT_ONE = 1.0 - np.eye(_STRETCHES)
 # A median is not smooth: a hundred half samples tell its deviation (Shao and Wu, Ann. Stat. 17, 1989).
 _HALF = list(combinations(range(_STRETCHES), _STRETCHES // 2))[::9]
 _HALVES = [_WITHOUT_ONE[list(some)].min(axis=0) for some in _HALF]
+_KNOTS = 10  # of the torsion's shape, at quantiles of the torque
+_REACHES = (0.03, 0.1, 0.3)  # of the rated torque, over which friction within the gear sticks
 _PLACES = 72  # of an output turn
 _EIGHT = 8.0  # square of a wave from peak to peak, over its mean square
 
@@ -80,7 +84,7 @@ def accuracy(
     deviation is by half samples of `_STRETCHES` stretches.
     """
     some = record.thinned(_MOST_ROWS)
-    laws = np.stack([centered(law, some.run) for law in usual_laws(some, rated_torque)], axis=1)
+    laws = np.stack([centered(law, some.run) for law in _slow_laws(some, rated_torque)], axis=1)
     error = centered(some.output_angle - some.input_angle / kinematics.ratio, some.run)
     rest = error - laws @ (inverse(laws.T @ laws) @ (laws.T @ error))
     given = kinematics, rated_torque, orders
@@ -91,7 +95,7 @@ def accuracy(
     shapes = [_waves(shown, np.full(shown.size, level), *given)[:, kept] for level in levels]
     fit = _Fit(waves[:, kept], own, rest, shapes, noise[0])
     shape, std = fit.peak_to_peak()
-    left = rest - own @ fit.coefficients(_EVERY)
+    left = _within_turns(rest - own @ fit.coefficients(_EVERY), some)
     beyond = max(float(np.mean(left**2)) * fit.freedom - noise[0], 0.0)
     scatter = float(np.std([np.mean(part**2) for part in np.array_split(left, _STRETCHES)], ddof=1))
     square = shape**2 / _EIGHT + beyond
@@ -99,6 +103,21 @@ def accuracy(
     # d sqrt(x) = dx / (2 sqrt(x)), and no more than sqrt(dx) where x vanishes.
     deviation = min(spread / (2.0 * math.sqrt(max(square, 1e-300))), math.sqrt(spread))
     return Accuracy(math.sqrt(_EIGHT * square), math.sqrt(_EIGHT) * deviation, _covered(record))
+
+
+def _slow_laws(record: Record, rated_torque: float) -> list[Floats]:
+    """Regressors (n,) for a torsion of any shape, its loop, and friction."""
+    load = record.torque / rated_torque
+    knots = np.quantile(load, np.linspace(0.0, 1.0, _KNOTS)[1:-1])
+    change = np.where(np.diff(record.run, prepend=record.run[0]), 0.0, np.diff(load, prepend=load[0]))
+    loops = (slip(0.0, change / reach) for reach in _REACHES)
+    return [*usual_laws(record, rated_torque), *np.maximum(load - knots[:, None], 0.0), *loops]
+
+
+def _within_turns(values: Floats, record: Record) -> Floats:
+    """Values (n,) less their means over turns of the input: what is slower is torsion, or drifts."""
+    turn = np.floor(record.input_angle / (2.0 * np.pi))
+    return centered(values, numbered((np.diff(turn) != 0) | (np.diff(record.run) != 0)))
 
 
 def _covered(record: Record) -> float:
