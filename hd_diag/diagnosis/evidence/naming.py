@@ -37,12 +37,15 @@ class Standing:
         Names of causes; the others are shapes that no cause is known of.
     own, deviation : float
         Rms of its part that parameters and other causes leave, and its deviation by noise [rad].
+    foretold : bool
+        Whether blocks of the record foretell it in others.
     """
 
     values: Mapping[str, float]
     known: frozenset[str]
     own: float
     deviation: float
+    foretold: bool = True
 
     @cached_property
     def _class(self) -> tuple[tuple[str, ...], float, float]:
@@ -70,6 +73,8 @@ class Standing:
             return "there was no time to weigh it"
         if self.probability < NAMED:
             return f"its probability is {100.0 * self.probability:.3g} %, of {100.0 * NAMED:.0f} % asked for"
+        if not self.foretold:
+            return "blocks of the record do not foretell it in others"
         if self.own - CERTAIN_SIZE * self.deviation < LEAST_SIZE:
             return (
                 f"what it alone explains is {self.own / ARCSEC:.2f} arcsec rms, "
@@ -105,7 +110,8 @@ def _standing(found: Found, item: Item) -> Standing:
         values |= dict.fromkeys([name for name in near if _is_unproved(best, name)], 0.0)
     others = tuple(one for one in (*best.fit.data.given, *best.causes) if one[0].name != effect.name)
     known = frozenset(one.name for one in best.fit.data.searched)
-    return Standing(values, known, *own_size(best.fit, best.chosen, others, item))
+    own, deviation = own_size(best.fit, best.chosen, others, item)
+    return Standing(values, known, own, deviation, best.foretells(effect.name))
 
 
 def _is_unproved(best: Set, name: str) -> bool:

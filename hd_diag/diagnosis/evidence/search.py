@@ -285,7 +285,7 @@ def _exchanged(now: Set, known: Instead) -> tuple[Set | None, Instead]:
             if other != itself and one.gain > least:
                 there = without.beside(one.item, one.widths).settled()
                 there = there.polished() if there.value > now.value - _NEARLY else there
-                trials += [there] if there.sensible else []
+                trials += [there] if there.sensible and there.foretells(one.name) else []
         best = max(trials, key=lambda one: one.value)
         if best.value > now.value:
             return best, {}
@@ -348,19 +348,26 @@ def _at_minima(found: Set, others: list[Set], rng: np.random.Generator) -> list[
 
 
 def _next(now: Set) -> Set | None:
-    """The set with one cause more, settled; None where none brings more than it costs."""
+    """The set with one cause more, settled; None where none brings more than it costs, and foretells it."""
     ranked = [one for one in candidates(now) if one.gain > 0.0]
-    if not ranked:
-        return None
-    best = ranked[0].gain
-    near = [one for one in ranked[:_TRIED] if one.gain > min(_NEAR * best, best - _CLOSE)]
-    trials = [now.beside(one.item, one.widths).settled() for one in near]
-    trials = [one for one in trials if one.sensible]
-    best = max((one.value for one in trials), default=0.0)
-    trials = [one.polished() for one in trials if one.value > best - _NEARLY]
-    trials = [one for one in trials if one.sensible]
-    best_set = max(trials, key=lambda one: one.value, default=None)
-    return best_set if best_set is not None and best_set.value > now.value else None
+    while ranked:
+        best = ranked[0].gain
+        near = [one for one in ranked[:_TRIED] if one.gain > min(_NEAR * best, best - _CLOSE)]
+        if (found := _best_of(near, now)) is not None:
+            return found
+        ranked = [one for one in ranked if one not in near]
+    return None
+
+
+def _best_of(near: Sequence[Candidate], now: Set) -> Set | None:
+    """The best set with one of some candidates more; None where none is better than without."""
+    settled = [(one.name, now.beside(one.item, one.widths).settled()) for one in near]
+    trials = [(name, one) for name, one in settled if one.sensible]
+    best = max((one.value for _, one in trials), default=0.0)
+    polished = [(name, one.polished()) for name, one in trials if one.value > best - _NEARLY]
+    better = [(name, one) for name, one in polished if one.sensible and one.value > now.value]
+    better.sort(key=lambda pair: -pair[1].value)
+    return next((one for name, one in better if one.foretells(name)), None)
 
 
 def _may_be_elsewhere(at: Set) -> bool:

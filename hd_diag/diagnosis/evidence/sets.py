@@ -10,7 +10,7 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.evidence import calibration
 from hd_diag.diagnosis.evidence.evidence import Evidence
-from hd_diag.diagnosis.fit.design import projection
+from hd_diag.diagnosis.fit.design import holds, projection
 from hd_diag.diagnosis.fit.joint_refinement import free, polished, sensible, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.present_effects import Item
@@ -146,6 +146,19 @@ class Set:
         rows, scale = np.count_nonzero(own.residual_white), own.whiten.scale
         log = replace(self, fit=own).evidence().log(self.widths)
         return log + self.presence - calibration.TEMPER * rows * float(np.log(scale))
+
+    def foretells(self, name: str) -> bool:
+        """Whether a cause holds in blocks of the record that others foretell: evidence believes the model.
+
+        What wanders cannot be foretold.
+        """
+        item = next(one for one in self.causes if one[0].name == name)
+        if item[0].wanders(item[1]):
+            return True
+        place = self.fit.places(self.chosen)[self.chosen.index(item)]
+        gain, predicted = self.fit.design(self.chosen).held_out_gain(place)
+        worth = 0.5 * calibration.TEMPER * min(float(gain.sum()), float(predicted.sum()))
+        return worth > -presence(self.fit, item[0]) and holds(gain, predicted)
 
     def relearned(self) -> Set:
         """With noise learned beside it, valued anew: the evidence of other noise is not comparable."""

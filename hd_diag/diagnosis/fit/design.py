@@ -252,8 +252,8 @@ def holds(gain: Floats, predicted: Floats) -> bool:
     -------
     bool
         If more than half of what others foretell is there, which is worth to be foretold: beyond the scatter
-        of the blocks, which count by what is foretold of them; or beyond what noise explains, from blocks
-        that agree: a cause may show at few speeds or torques only.
+        of the blocks, which count by what is foretold of them; or beyond what noise explains, and no more
+        than it may add, from blocks that agree: a cause may show at few speeds or torques only.
     """
     whole = float(predicted.sum())
     if gain.size < 2 or whole <= 0.0:
@@ -263,7 +263,8 @@ def holds(gain: Floats, predicted: Floats) -> bool:
     noise, scatter = (float(np.sqrt(one)) / whole for one in (whole, away @ away))
     agreeing = float(predicted[gain < 0.0].sum()) <= _DISAGREEING * whole
     beyond_scatter = share - 0.5 > stats.t.ppf(0.99, gain.size - 1) * max(scatter, noise)
-    return bool(beyond_scatter or (agreeing and share - 0.5 > _ONE_PER_CENT * noise))
+    by_noise = 0.5 + _ONE_PER_CENT * noise < share < 1.0 + _ONE_PER_CENT * noise
+    return bool(beyond_scatter or (agreeing and by_noise))
 
 
 def interval(gains: Floats, rng: np.random.Generator, over: Floats | None = None) -> tuple[float, float]:
