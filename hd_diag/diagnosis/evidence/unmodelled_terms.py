@@ -25,7 +25,9 @@ _CELLS = 240  # per turn of the output
 _WIDTHS = (0.06, 0.15)  # of a bump there [rad]
 _PERIODS = 4.0  # of a line within the output's way
 _LOWEST, _HIGHEST = 8, 1.9  # line per output turn; per input turn
-_ORDERS = np.array([3, *range(5, 41)])  # of the input, that no gear must have
+_ORDERS = np.array(  # of the input, that no gear must have; by others encoders divide a circle
+    [3, 5, 6, 7, 11, 13, 14, 17, 19, 21, 22, 23, 26, 28, 29, 31, 33, 34, 35, 37, 38, 39]
+)
 _PEAKS = 3  # of a spectrum that are looked at, with their neighbours
 
 
@@ -136,7 +138,10 @@ class OutputLine(UnmodelledTerm):
 
 @dataclass(frozen=True, kw_only=True)
 class InputLine(UnmodelledTerm):
-    """A wave with a whole number of periods per input turn, beyond those that any gear has."""
+    """A wave with a whole number of periods per input turn.
+
+    Not the gear's own, nor a number of lines that an encoder may have: those are causes.
+    """
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """See :meth:`Effect.columns`."""
