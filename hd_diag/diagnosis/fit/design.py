@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -14,6 +15,7 @@ from hd_diag.arrays import Floats, Integers
 _DRAWS = 2000  # of a bootstrap
 _ONE_PER_CENT = 2.326  # standard deviations
 _ALONE = 1e-10  # share of a column outside a block that is nothing but rounding
+_TOLD_APART = 1e-6  # of the inverse times the matrix from one
 _DISAGREEING = 0.1  # share of what was predicted that may lie in blocks which it made worse
 
 
@@ -82,12 +84,19 @@ class Design:
 
     def held_out(self) -> Floats:
         """Sum of squares of each block, predicted by a fit to all others; shape (blocks,)."""
-        known = self.without_wandering()
-        result = known.square.copy()
-        for block, (g, m, others, towards) in enumerate(known.blocks()):
-            beta = solve(others, towards)
+        result = self.without_wandering().square.copy()
+        for block, (g, m, _, _, beta, _) in enumerate(self._by_others):
             result[block] += beta @ g @ beta - 2.0 * beta @ m
         return result
+
+    @cached_property
+    def _by_others(self) -> list[tuple[Floats, Floats, Floats, Floats, Floats, Floats]]:
+        """As `blocks`, with the solution of all others (k,) and the inverse of their Gram matrix (k, k)."""
+        found = []
+        for own, own_moment, others, towards in self.without_wandering().blocks():
+            spread = inverse(others)
+            found.append((own, own_moment, others, towards, spread @ towards, spread))
+        return found
 
     def held_out_gain(self, dropped: slice) -> tuple[Floats, Floats]:
         """What some columns bring in each block, by fits to all others.
@@ -107,9 +116,14 @@ class Design:
         count = self.moment.shape[1]
         rest = np.delete(np.arange(count), np.r_[dropped])
         gain, predicted = np.empty((2, self.square.size))
-        for block, (g, m, others, towards) in enumerate(self.without_wandering().blocks()):
-            beta, fewer = solve(others, towards), np.zeros(count)
-            fewer[rest] = solve(others[np.ix_(rest, rest)], towards[rest])
+        for block, (g, m, others, towards, beta, spread) in enumerate(self._by_others):
+            fewer = np.zeros(count)
+            told = np.einsum("ij,ji->i", spread[dropped], others[:, dropped])  # one where no other is alike
+            if np.all(np.abs(told - 1.0) < _TOLD_APART):
+                step = np.linalg.solve(spread[dropped, dropped], beta[dropped])
+                fewer[rest] = (beta - spread[:, dropped] @ step)[rest]
+            else:
+                fewer[rest] = solve(others[np.ix_(rest, rest)], towards[rest])
             change = beta - fewer
             gain[block] = 2.0 * change @ m - beta @ g @ beta + fewer @ g @ fewer
             predicted[block] = change @ g @ change
