@@ -2,6 +2,7 @@
 
     python bench/challenge.py [--seeds N] [--families F ...] [--development | --final] [--first SEED]
         [--jobs N] [--time S] [--no-baselines] [--again FILE] [--json FILE] [--markdown FILE]
+        [--diagram FILE]
 
 Records come from test/challenge, which shares no code with the package. Development seeds may be looked at
 while the method is made; final seeds are for the last count only. `--time` begins no record after so many
@@ -35,6 +36,7 @@ import numpy as np
 import scoring
 from aims import OWN, PARAMETERS, targets
 from challenge.families import DEVELOPMENT, FAMILIES, FINAL, made
+from reliability import draw, table, wilson
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from scoring import Score
@@ -58,17 +60,6 @@ def judged(family: str, seed: int, with_baselines: bool) -> tuple[list[Score], s
 
 
 # Figures ---
-
-
-def wilson(hits: int, count: int, z: float = 1.96) -> tuple[float, float]:
-    """95 % interval of a rate."""
-    if count == 0:
-        return 0.0, 1.0
-    share = hits / count
-    middle = share + z**2 / (2 * count)
-    half = z * math.sqrt(share * (1 - share) / count + z**2 / (4 * count**2))
-    scale = 1 + z**2 / count
-    return max((middle - half) / scale, 0.0), min((middle + half) / scale, 1.0)
 
 
 def rate(hits: Iterable[bool]) -> str:
@@ -138,6 +129,7 @@ def report(scores: list[Score], summary: str) -> str:
             targets(scores),
             markdown(scores, NAMES, methods),
             markdown(scores, FITS, [OWN]),
+            table([s for s in scores if s.method == OWN]),
         )
     )
 
@@ -209,6 +201,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--again", type=Path, metavar="FILE", help="tables of an earlier run's --json")
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--markdown", type=Path, metavar="FILE")
+    parser.add_argument("--diagram", type=Path, metavar="FILE", help="stated probabilities, drawn")
     return parser.parse_args()
 
 
@@ -221,6 +214,8 @@ def again(given: argparse.Namespace) -> int:
     print(text)
     if given.markdown:
         given.markdown.write_text(text + "\n")
+    if given.diagram:
+        draw(scores, given.diagram)
     return 0
 
 
@@ -243,6 +238,8 @@ def main() -> int:
     print(text)
     if given.markdown:
         given.markdown.write_text(text + "\n")
+    if given.diagram:
+        draw(scores, given.diagram)
     if given.json:
         found = {
             "schema": "hd_diag/challenge/1",

@@ -7,6 +7,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -58,6 +59,7 @@ class Score:
     covered : parameters within their 95 % interval, of seven
     seconds, verdict : CPU time [s]; the sentence
     effects : true sizes [SI] by name
+    stated : probability of every class that was named or hinted at, and whether it is there
     """
 
     method: str
@@ -82,6 +84,7 @@ class Score:
     seconds: float = 0.0
     verdict: str = ""
     effects: dict[str, dict[str, object]] = field(default_factory=dict)
+    stated: list[tuple[float, bool]] = field(default_factory=list)
 
     @property
     def exact(self) -> bool:
@@ -202,6 +205,12 @@ def score(made: records.Record, family: str, seed: int) -> Score:
     result.listed = [t.name for t in found.testable if not t.testable and t.name in result.hidden]
     shown = {t.name: t.least_size for t in found.testable if t.testable}
     result.denied = [n for n in result.missed & shown.keys() if size_of(made, n, judged) > shown[n]]
+    true = {*result.hidden, *result.optional}
+    result.stated = [
+        (cause.standing.probability, bool(true & set(cause.alike)))
+        for cause in (*found.causes, *found.hints)
+        if math.isfinite(cause.standing.probability)
+    ]
     result.seconds = seconds
     answer = Answer(found)
     result.verdict = sentence(answer)
