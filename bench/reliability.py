@@ -1,6 +1,5 @@
 """How often a class is there that the diagnosis states with some probability."""
 
-
 from __future__ import annotations
 
 import math

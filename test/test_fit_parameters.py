@@ -68,7 +68,7 @@ def test_derivatives_are_finite_differences(configured: Drive, index: int) -> No
 
 
 def test_derivatives_along_a_long_record_are_the_exact_ones() -> None:
-    """But for the steps, a third of a tooth each, in which pairs come into load and slopes jump."""
+    """But for the steps, a quarter of a tooth each, in which pairs come into load and slopes jump."""
     _, exact, slope = fit_parameters.along(DRIVE, CONFIGURED, LONG_ANGLE, LONG_TORQUE, 10**6)
     _, found, found_slope = fit_parameters.along(DRIVE, CONFIGURED, LONG_ANGLE, LONG_TORQUE)
     for column, expected in zip((*found.T, found_slope), (*exact.T, slope), strict=True):

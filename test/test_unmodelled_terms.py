@@ -236,7 +236,7 @@ def test_a_joint_that_hardly_moves_shows_no_line() -> None:
         assert not line.testable(made(np.full(600, 0.1)))[0]
 
 
-@pytest.mark.parametrize("number", [3.0, 7.0, 40.0])
+@pytest.mark.parametrize("number", [3.0, 7.0, 17.0])
 def test_a_line_of_the_input_is_the_strongest_that_no_gear_must_have(number: float) -> None:
     """Beside stronger waves of 1, 2 and 4, which are remainders."""
     signals = made(np.full(FEW, 1.3))
