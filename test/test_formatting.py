@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from hd_diag import formatting
 from hd_diag.effects.quantity import Quantity, amplitude, direction
-from hd_diag.report.advice import quantity
+from hd_diag.report.cards import quantity
 
 
 @pytest.mark.parametrize(

@@ -1,17 +1,20 @@
 """What kind of answer a diagnosis is, and whether the joint is normal."""
 
 import dataclasses
+import re
 from typing import Any
 
 import numpy as np
 import pytest
 from test_verdict import ENDED, LINE, SKIP, WRONG_RATIO, cause, diagnosis, found, function, refitted
 
+from hd_diag.diagnosis.action import advice
 from hd_diag.diagnosis.diagnosis import Allowed, Diagnosis
 from hd_diag.diagnosis.evidence.solution import Cause
 from hd_diag.diagnosis.gain import Rms
 from hd_diag.diagnosis.judgement import Answer, Limited
-from hd_diag.diagnosis.verdict import as_json, sentence
+from hd_diag.diagnosis.statements import sentence
+from hd_diag.diagnosis.verdict import as_json
 from hd_diag.effects.remainders import TORQUE
 
 ARCSEC = np.pi / 648000.0
@@ -169,24 +172,58 @@ def loop(size: float) -> Cause:
     return dataclasses.replace(made, coefficients=ARCSEC * elements)
 
 
+SURE = r"\(more than 99\.9 % sure\)"
+HINT = found(cause("output_runout", none=-3.0))
+ALIKE = found(cause("output_runout", alike=("output_encoder_eccentricity",)))
+
+
 @pytest.mark.parametrize(
-    ("made", "asked"),
+    ("made", "action", "light", "said"),
     [
-        ({}, "nothing"),
-        ({"refitted": AS_CONFIGURED}, "nothing"),
-        ({"findings": (SKIP,)}, "watch"),
-        ({"rms": MISFIT}, "watch"),
-        ({"found": found(cause("output_runout", none=-3.0))}, "watch"),
-        ({"found": found(functions=(function(TORQUE),))}, "watch"),
-        ({"allowed": Allowed(17.9e-6, "overlap")}, "watch"),
-        ({"allowed": Allowed(10e-6, "overlap")}, "inspect"),
-        ({"allowed": Allowed(20e-6, "overlap")}, "nothing"),
-        ({"found": found(cause("output_runout"))}, "inspect"),
-        ({"findings": (WRONG_RATIO,), **ENDED}, "inspect"),
+        ({}, "nothing", "green", f"Nothing to do: the transmission error is within its limit {SURE}."),
+        ({"refitted": AS_CONFIGURED}, "nothing", "green", "Nothing to do: .*"),
+        ({"findings": (SKIP,)}, "inspect", "red", "Inspect: a step of 6480 arcsec .*: 1 tooth skipped."),
+        ({"findings": (dataclasses.replace(SKIP, name="unit"),)}, "watch", "amber", "Watch: a step of .*"),
+        ({"rms": MISFIT}, "watch", "not_judged", "Cannot be judged: the model does not describe this .*"),
+        ({"found": HINT}, "watch", "amber", r"Watch: output runout, not proven \(95 % likely\)."),
+        (
+            {"found": found(functions=(function(TORQUE),))},
+            *("watch", "amber"),
+            "Watch: the torsion's shape .* is larger than usual.",
+        ),
+        (
+            {"allowed": Allowed(17.9e-6, "overlap")},
+            *("watch", "amber"),
+            r"Watch: the eccentricity may be beyond its limit: 18.2 ± 0.3 µm of 17.9 µm \(84 % likely\).",
+        ),
+        (
+            {"allowed": Allowed(10e-6, "overlap"), "found": HINT},  # what is beyond doubt is said alone
+            *("inspect", "red"),
+            f"Inspect: the eccentricity is beyond its limit: 18.2 ± 0.3 µm of 10.0 µm {SURE}.",
+        ),
+        (
+            {"allowed": Allowed(20e-6, "overlap")},
+            *("nothing", "green"),
+            "Nothing to do: the transmission error and the eccentricity are within their limits .*",
+        ),
+        (
+            {"found": ALIKE},
+            *("inspect", "red"),
+            f"Inspect: output runout or output encoder eccentricity {SURE}.",
+        ),
+        (
+            {"findings": (WRONG_RATIO,), **ENDED},
+            *("inspect", "not_judged"),
+            "Cannot be judged: the output follows at 101.",
+        ),
     ],
 )
-def test_what_to_do(made: dict[str, Any], asked: str) -> None:
-    assert as_json(diagnosis(**made), "joint_1")["action"] == asked
+def test_what_to_do(made: dict[str, Any], action: str, light: str, said: str) -> None:
+    found = advice(Answer(diagnosis(**made)))
+    assert found[:2] == (action, light)
+    assert re.fullmatch(said, found.text), found.text
+    told = as_json(diagnosis(**made), "joint_1")
+    assert (told["action"], told["advice"]) == (action, found.text)
 
 
 @pytest.mark.parametrize("size", [29.0, 31.0])
@@ -196,6 +233,7 @@ def test_a_loop_that_catalogues_allow_is_usual(size: float) -> None:
     told, usual = as_json(made, "joint_1"), size < 30.0
     assert told["causes"][0]["usual"] is usual
     assert told["action"] == ("nothing" if usual else "inspect")
+    assert told["advice"].endswith("Usual for a new gear: hysteresis.") is usual
     assert ("arcsec rms, usual for a gear" in told["verdict"]) is usual
     assert as_json(diagnosis(cause("output_runout", 1.0 * ARCSEC)), "joint_1")["causes"][0]["usual"] is False
 

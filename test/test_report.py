@@ -11,7 +11,7 @@ import pytest
 from benches import CONFIGURED, EFFECTS, TRUE, bench, solved
 from challenge import records
 from cli_runner import assert_one_line_error, config_file, hd_diag
-from joint_records import columns, prepared
+from joint_records import ARCSEC, columns, prepared
 from numpy.testing import assert_allclose, assert_array_equal
 from report_samples import (
     HOSTILE,
@@ -25,17 +25,19 @@ from report_samples import (
     report_of,
     without_output,
 )
+from test_verdict import cause as cause_of
 
 from hd_diag.config.configuration import dump, resolve
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
 from hd_diag.diagnosis.evidence.unexplained import Unexplained
 from hd_diag.diagnosis.judgement import Answer
 from hd_diag.diagnosis.record import Record
+from hd_diag.diagnosis.verdict import as_json
 from hd_diag.drive import mesh_state, transmission_error
 from hd_diag.formatting import arcsec, words
 from hd_diag.gears.catalogue import table
 from hd_diag.records.joint_record import InputRecord
-from hd_diag.report.advice import COLOURS, Gauge, cards, worst
+from hd_diag.report.cards import cards
 from hd_diag.report.facts import Fact, JointReport, Judgement, of_motion, quality_of, settings
 from hd_diag.report.page import TERMS, Links, page, used
 from hd_diag.report.torsion import k_shown
@@ -153,22 +155,39 @@ def test_cards_are_sorted_by_size_and_leave_out_what_may_be_nothing() -> None:
     assert none == []
 
 
-def test_the_first_line_is_how_bad_the_joint_is() -> None:
+def test_what_to_do_stands_first_then_how_bad_the_joint_is() -> None:
     found, report = judged("output_runout"), joint_report("output_runout")
+    told = as_json(diagnosis("output_runout"), "joint_1")
     part = r"\(\d+ of 90 arcsec peak to peak\)"
-    assert re.fullmatch(rf"The joint is within its accuracy {part}\.", found.first)
-    assert letters(found.first + found.rest) == letters(report.verdict)
+    assert re.fullmatch(rf"The joint is within its accuracy {part}\.", report.said[0])
+    assert letters("".join(report.said)) == letters(told["verdict"])
+    assert report.lines == [told["advice"], *report.said]
     (gauge,) = found.gauges
-    assert (gauge.state, found.state) == ("within", "green")
-    assert gauge.share == pytest.approx(float(re.findall(r"\d+", found.first)[0]) / 90.0, abs=0.01)
+    assert gauge.share == pytest.approx(float(re.findall(r"\d+", report.said[0])[0]) / 90.0, abs=0.01)
+    read = Reader(page([report], SOURCES))
+    places = [read.text.index(text) for text in (told["advice"], *report.said[:2])]
+    assert places == sorted(places)
+    (light,) = (span for span in read.all("span") if span.get("class") == "light")
+    assert light["aria-label"] == "Traffic light: red"
+    assert told["advice"].startswith("Inspect: output runout or output encoder eccentricity (")
 
 
-def test_a_page_begins_with_the_worst_of_error_and_eccentricity() -> None:
-    """Beyond goes before near, near before within; what cannot be told counts only alone."""
-    states = {name: Gauge("", name, "", 1.0) for name in COLOURS}
-    for one, other, colour in (("within", "near", "amber"), ("beyond", "near", "red")):
-        assert worst([states[one], states[other]]) == colour
-    assert [worst([states["open"]]), worst([states["open"], states["within"]])] == ["not_judged", "green"]
+def test_what_is_usual_asks_for_nothing() -> None:
+    """A loop as catalogues allow it, and an eccentricity within all limits: cards without an instruction."""
+    made = dataclasses.replace(diagnosis("output_runout"), findings=())
+    loop = cause_of("hysteresis")
+    sizes = {"coefficients": np.full(loop.coefficients.size, 5.0 * ARCSEC)}
+    small = dataclasses.replace(loop, **sizes, covariance=1e-10 * loop.covariance)
+    usual = dataclasses.replace(made, found=dataclasses.replace(made.found, causes=(small,)))
+    shown = {card.title: card for card in cards(Answer(usual))}
+    assert {card.usual for card in shown.values()} == {"Usual for a new gear", "No limit is exceeded"}
+    assert {"sharpness", "spread"}.isdisjoint(dict(shown["Hysteresis"].measures))
+    assert "bending reach" in dict(shown["Hysteresis"].measures)
+    report = report_of(usual)
+    text = Reader(page([report], SOURCES)).text
+    assert (report.advice.light, report.advice.action) == ("green", "nothing")
+    assert "What was found and asks for nothing" in text
+    assert EFFECTS["hysteresis"].inspect not in text
 
 
 def test_terms_are_explained_where_they_come_first() -> None:
@@ -334,7 +353,7 @@ def test_the_same_numbers_are_the_same_page_and_a_small_one_with_what_the_diagno
     rms = map(arcsec, (found.rms.nominal, found.rms.refit, found.rms.extended, found.rms.noise))
     tested = (part for test in found.testable for part in (words(test.name), test.reason))
     alike = " or ".join(map(words, found.causes[0].alike))
-    assert letters(joint_report("output_runout").verdict) in letters(text)
+    assert letters("".join(joint_report("output_runout").said)) in letters(text)
     assert [part for part in (*rms, *tested) if part not in text] == []
     assert f"{alike}: this record fits both about as well." in text
     assert {(m["low"], m["high"]) for m in Reader(hostile_page()).all("meter")} == {("1.0", "1.0")}
@@ -387,10 +406,10 @@ def test_a_bag_without_output_gets_the_model_s_side(tmp_path: Path) -> None:
     config = config_file(tmp_path, input_joint=f"{HOSTILE}_motor", output_joint=HOSTILE)
     result = hd_diag("report", bag, "--config", config, "--out", out, "--json", told)
     assert (result.exit_code, result.stderr) == (0, "")
-    assert "Nothing else could be judged: no input angle" in result.stdout
+    assert "Cannot be judged: no input angle" in result.stdout
     read = Reader(out.read_text(encoding="utf-8"))
     assert {tag for tag, _ in read.tags} & {"script", "img"} == set()
-    assert "Nothing else could be judged: no input angle" in read.text
+    assert "Cannot be judged: no input angle" in read.text
     assert "<b>bag.mcap" in read.text
     assert len(read.all("svg")) == 4  # one of them the torque over position
     assert "Measured against simulated" not in read.text
@@ -410,7 +429,7 @@ def test_both_verbs_draw_what_they_say(monkeypatch: pytest.MonkeyPatch, tmp_path
     drawn = hd_diag("diagnose", bag, "--report", out, "--json", tmp_path / "a.json")
     assert (drawn.exit_code, drawn.stderr) == (0, "")
     told, lines = json.loads((tmp_path / "a.json").read_text()), drawn.stdout.splitlines()
-    assert (lines[0], lines[-1]) == (f"joint_1: {told['verdict']}", f"report written: {out}")
+    assert (lines[0], lines[-1]) == (f"joint_1: {told['advice']}", f"report written: {out}")
     assert letters(told["verdict"]) in letters(Reader(out.read_text(encoding="utf-8")).text)
     monkeypatch.setattr("hd_diag.report.page.page", lambda *_: "a page, which takes its time")
     names = ("--columns", "time=time,input=input,output=output,torque=torque,temperature=temperature")

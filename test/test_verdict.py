@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from joint_records import ARCSEC, columns, joint, prepared
+from report_samples import letters
 
 from hd_diag.diagnosis.detectability import NOT_PROVED, Detectability
 from hd_diag.diagnosis.diagnosis import Allowed, Diagnosis
@@ -21,7 +22,8 @@ from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.refit import Refit
 from hd_diag.diagnosis.gain import Gain, Rms
 from hd_diag.diagnosis.judgement import Answer
-from hd_diag.diagnosis.verdict import as_json, sentence, summary
+from hd_diag.diagnosis.statements import sentence, sentences
+from hd_diag.diagnosis.verdict import as_json, summary
 from hd_diag.effects import CATALOGUE
 from hd_diag.effects.remainders import ORDERS, PLACE, SPEED, TIME, TORQUE, Remainder
 from hd_diag.extended_model import ExtendedModel, Term
@@ -33,7 +35,7 @@ EFFECTS = {effect.name: effect for effect in CATALOGUE}
 KEYS = {
     "": "schema joint record nominal refit causes unexplained extended noise_floor gain testability model "
     "remainders misfit action verdict judgement described normal; findings hints evidence tolerance "
-    "encoder_zeros motor_current left_out",
+    "encoder_zeros motor_current left_out advice",
     "record": "samples duration input_turns runs; has_torque outliers dropped refused unpaired stamps_zero "
     "second_publisher clock_set_back last_refusal problems",
     "nominal": "rms",
@@ -148,8 +150,12 @@ def test_json_is_the_contract_s_and_lines_are_without_nan(made: Diagnosis) -> No
     assert (told["schema"], told["joint"], told["model"]) == ("hd_diag/diagnosis/1", "joint_1", "model.json")
     assert json.loads(json.dumps(told, allow_nan=False)) == told
     lines = summary(made)
-    assert lines[0] == sentence(Answer(made)) == told["verdict"]
-    assert lines[0].endswith(".")
+    assert sentence(Answer(made)) == told["verdict"]
+    said = sentences(Answer(made))
+    assert lines[: len(said) + 1] == [told["advice"], *said]
+    assert letters(told["verdict"]).endswith(letters("".join(said)))
+    assert said or any(finding["fatal"] for finding in told["findings"])
+    assert told["verdict"].endswith(".")
     assert all("\n" not in line and "nan" not in line.split() for line in lines)
 
 
@@ -316,7 +322,7 @@ def test_scatter_of_the_encoders_zeros_is_told() -> None:
     made = diagnosis(encoder_zeros=zeros)
     scatter = pytest.approx(np.std(zeros, ddof=1))
     assert as_json(made, "joint_1")["encoder_zeros"] == {"values": [*zeros], "scatter": scatter}
-    assert summary(made)[2].startswith("encoders' zero: one for each of 3 recordings; they scatter by 26.46")
+    assert summary(made)[5].startswith("encoders' zero: one for each of 3 recordings; they scatter by 26.46")
     assert as_json(diagnosis(encoder_zeros=zeros[:1]), "joint_1")["encoder_zeros"] is None
 
 
@@ -335,7 +341,8 @@ def test_causes_that_predict_nothing_are_doubted() -> None:
 
 
 def test_the_lines_name_gain_and_what_was_not_testable() -> None:
-    held_out, where, *rest = summary(diagnosis(cause("hysteresis")))[1:]
+    made = diagnosis(cause("hysteresis", 40.0 * ARCSEC))
+    held_out, where, *rest = summary(made)[1 + len(sentences(Answer(made))) :]
     assert held_out == (
         "held-out residual (3 of 12 runs): nominal 20.00, refit 5.00, extended 3.30, noise 3.20 arcsec rms; "
         "explained 97.0 % (96.0 to 98.0 %)"

@@ -120,10 +120,10 @@ def report(records: Records, out: Path | None, json_file: str | None) -> int:
                 page = of_motion(motion, joint, flat, str(error), found)
                 content = {"ripple": ripple_verdict.as_json(found, joint.name)} if found else {}
                 content |= motion.stamps.reported
-                return not_judged(joint.name, error) | content, [page.verdict], page
+                return not_judged(joint.name, error) | content, page.lines, page
             advance(0, 0, "gathering the report's numbers")
             page = of_diagnosis(diagnosis, joint, flat, np.random.default_rng(0))
-            return as_json(diagnosis, joint.name), [page.verdict], page
+            return as_json(diagnosis, joint.name), page.lines, page
 
     return judge_each(records, judge, target, json_file)[1]
 

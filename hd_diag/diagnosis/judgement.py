@@ -19,7 +19,6 @@ from hd_diag.diagnosis.fit.refit import usable
 from hd_diag.diagnosis.gain import MISFIT
 from hd_diag.formatting import ARCSEC, words
 
-Action = Literal["nothing", "watch", "inspect"]
 Judgement = Literal["as_configured", "parameters", "causes", "described", "misfit", "not_judged"]
 
 _SIGMAS = 3.0  # a parameter this many standard deviations off its configured value is another
@@ -102,17 +101,6 @@ class Answer:
         if found.order_table or found.unexplained or found.hints or found.larger:
             return "described"
         return "parameters" if self.changes else "as_configured"
-
-    @cached_property
-    def action(self) -> Action:
-        """What to do: inspect what was found or is beyond a limit; watch what may be or is not known."""
-        found, limits = self.diagnosis, [self.normal, self.tolerance]
-        places = [one.place for one in limits if one is not None]
-        asked = [cause for cause in found.causes if not is_usual(cause)]
-        if asked or any(finding.fatal for finding in found.findings) or "beyond" in places:
-            return "inspect"
-        doubts = found.findings or found.hints or found.larger or self.judgement in ("misfit", "not_judged")
-        return "watch" if doubts or "near" in places else "nothing"
 
     @property
     def vague(self) -> bool:

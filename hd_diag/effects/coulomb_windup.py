@@ -64,9 +64,22 @@ EFFECT = CoulombWindup(
         Quantity(
             "way", "rad", 1e-4, 30.0, 0.1, "x_0, of the input, over which it builds up", False, choices=_WAYS
         ),
-        Quantity("creep_speed", "rad/s", 0.0, 3.0, 0.1, "omega_0, of the input; 0: kept at rest", False),
-        Quantity("stribeck", "-", 0.0, 2.0, 0.5, "b, share of it that is more at low speed", linear=False),
-        Quantity("stribeck_speed", "rad/s", 0.5, 20.0, 5.0, "omega_s, of the input", linear=False),
+        Quantity(
+            "creep_speed", "rad/s", 0.0, 3.0, 0.1, "omega_0, of the input; 0: kept at rest", False, shape=True
+        ),
+        Quantity(
+            "stribeck",
+            "-",
+            0.0,
+            2.0,
+            0.5,
+            "b, share of it that is more at low speed",
+            linear=False,
+            shape=True,
+        ),
+        Quantity(
+            "stribeck_speed", "rad/s", 0.5, 20.0, 5.0, "omega_s, of the input", linear=False, shape=True
+        ),
     ),
     confused_with=("viscous_windup", "stream_delay", "hysteresis", "torque_offset"),
     source=(

@@ -41,6 +41,8 @@ class Quantity:
         Power of it that the coefficient is: 2 where the error grows with its square.
     strict : bool
         Whether a candidate with a value outside the limits is rejected: another cause is meant.
+    shape : bool
+        Whether it only bends a curve: people get the curve, not the number.
     """
 
     name: str
@@ -55,6 +57,7 @@ class Quantity:
     choices: tuple[float, ...] = ()
     power: int = 1
     strict: bool = False
+    shape: bool = False
 
     def allows(self, value: float) -> bool:
         """Whether the value is inside the limits."""

@@ -254,7 +254,15 @@ EFFECT = Resonance(
     quantities=(
         amplitude("amplitude", "rad", 1e-2, 8.0 * ARCSEC, "a, of the exciting order well below resonance"),
         direction("phase", "of the exciting order at wave generator angle zero"),
-        Quantity("carried", "-", -0.5, 1.5, 1.0, "c, share of the gear's own ripple that passes the spring"),
+        Quantity(
+            "carried",
+            "-",
+            -0.5,
+            1.5,
+            1.0,
+            "c, share of the gear's own ripple that passes the spring",
+            shape=True,
+        ),
         choice("order", "n, exciting order of the wave generator's turn", ORDERS, ORDERS),
         Quantity("natural_frequency", "rad/s", LOWEST, 1e4, 100.0, "omega_n, undamped", linear=False),
         Quantity("damping", "-", 2e-3, 0.5, 0.03, "zeta, share of the critical one", linear=False),

@@ -86,7 +86,7 @@ EFFECT = TorsionalHardening(
         ),
         Quantity("first_knee", "N m", 0.0, 1e5, 10.0, "T1, torque of the first knee", linear=False),
         Quantity("second_knee", "N m", 0.0, 1e5, 30.0, "T2, torque of the second knee", linear=False),
-        Quantity("width", "-", 1e-3, 1.0, 0.1, "w, of the bends, over their knees", linear=False),
+        Quantity("width", "-", 1e-3, 1.0, 0.1, "w, of the bends, over their knees", linear=False, shape=True),
     ),
     confused_with=("hysteresis", "wear_backlash"),
     source=(

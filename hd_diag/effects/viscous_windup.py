@@ -37,7 +37,7 @@ EFFECT = MeshTorque(
     grid=((0.75,), (1.0,)),
     quantities=(
         Quantity("friction", "N m", 0.0, 1e3, 1.0, "c, at 100 rad/s of the input", strict=True),
-        Quantity("exponent", "-", 0.5, 1.3, 1.0, "p, of the speed", linear=False),
+        Quantity("exponent", "-", 0.5, 1.3, 1.0, "p, of the speed", linear=False, shape=True),
     ),
     confused_with=("stream_delay", "coulomb_windup"),
     source="Tuttle and Seering, IEEE Trans. Robotics and Automation 12(3), 1996, pp. 368-374",

@@ -12,12 +12,12 @@ from urllib.parse import quote
 
 import numpy as np
 
+from hd_diag.diagnosis.action import GREEN, LIGHTS
 from hd_diag.fleet.rows import readable
 from hd_diag.fleet.series import ECCENTRICITY, ERROR
 from hd_diag.fleet.standing import Health, Standing, natural
 from hd_diag.fleet.summary import day, headline, notes, recorded, statement
 from hd_diag.formatting import si, size, words
-from hd_diag.report.advice import GREEN, STATES
 from hd_diag.report.facts import Fact, versions
 
 _SIGNS = {"red": "✕", "amber": "!", "green": "✓", "not_judged": "?"}
@@ -62,7 +62,7 @@ def health_page(found: Health, facts: Sequence[Fact]) -> str:
         standings=standings,
         names=names,
         robots=[(name, [pair for pair in numbered if pair[1].robot == name]) for name in names],
-        counts=[(state, counts[state]) for state in STATES if counts[state]],
+        counts=[(state, counts[state]) for state in LIGHTS if counts[state]],
         changed=sum(bool(one.changes) for one in standings),
         signs=_SIGNS,
         beside=_beside,
@@ -124,7 +124,7 @@ def _small(one: Standing, ends: tuple[float, float] | None) -> Small | None:
 
 def _filters(robots: int) -> str:
     """Style rules: the page's choices hide rows."""
-    hidden = {f"show-{state}": f":not(.{state})" for state in STATES}
+    hidden = {f"show-{state}": f":not(.{state})" for state in LIGHTS}
     hidden |= {"show-look": ".green", "show-changed": ":not(.changed)"}
     hidden |= {f"robot-{n}": f":not(.robot-{n})" for n in range(robots)}
     return "".join(

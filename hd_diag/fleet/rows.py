@@ -30,7 +30,7 @@ from hd_diag.effects import CATALOGUE
 from hd_diag.formatting import json_ready
 from hd_diag.records.joint_record import read_bags, read_motion
 from hd_diag.replay.versions import running
-from hd_diag.report.advice import cards
+from hd_diag.report.cards import cards
 from hd_diag.report.facts import JointReport, of_diagnosis, of_motion, sources
 from hd_diag.tolerance.study import with_allowed
 

@@ -25,12 +25,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hd_diag.diagnosis.action import AMBER, GREEN, GREY, LIGHTS, RED
 from hd_diag.diagnosis.judgement import Limited
 from hd_diag.fleet.rows import Row
 from hd_diag.fleet.series import ECCENTRICITY, ERROR, Limits, Series, began, limit_of
 from hd_diag.fleet.trend import Trend
 from hd_diag.formatting import si, size, words
-from hd_diag.report.advice import AMBER, GREEN, GREY, RED, STATES
 
 _COVERED = 0.5  # of a bag, that a joint's samples must cover: drivers may start late, or stop early
 _REFUSED = 0.05  # of the samples; with fewer only the verdict says that they were refused
@@ -219,7 +219,7 @@ def _standing(joint: tuple[str, str], own: Sequence[tuple[Row, Colour]], trends:
 def _order(one: Standing) -> tuple[int, bool, float, list[object], list[object]]:
     """The worst first, then those that changed, then what is nearest to its limit."""
     worst = one.nearest.value / one.nearest.limit if one.nearest else 0.0
-    return STATES.index(one.colour.state), not one.changes, -worst, natural(one.robot), natural(one.joint)
+    return LIGHTS.index(one.colour.state), not one.changes, -worst, natural(one.robot), natural(one.joint)
 
 
 def natural(name: str) -> list[object]:

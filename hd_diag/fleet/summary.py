@@ -13,12 +13,12 @@ from rich.table import Table
 from rich.text import Text
 
 from hd_diag.bag import BagError
+from hd_diag.diagnosis.action import GREEN, GREY, LIGHTS
 from hd_diag.fleet.rows import PAGE, SCHEMA, Row, readable
 from hd_diag.fleet.series import ECCENTRICITY, ERROR, began
 from hd_diag.fleet.standing import Colour, Health, Standing, left_out, missing
 from hd_diag.fleet.trend import FALSE_ALARM, Trend
 from hd_diag.formatting import SCALES, json_ready, number, words
-from hd_diag.report.advice import GREEN, GREY, STATES
 
 _LINES = 24  # joints of a table for a terminal; those that are not green are never left out
 _MONTH = 30.0 * 86400.0  # [s]
@@ -165,7 +165,7 @@ def headline(found: Health) -> str:
     if not standings:
         return "No joint was found in any recording."
     counts = Counter(one.colour.state for one in standings)
-    states = ", ".join(f"{counts[state]} {words(state)}" for state in STATES if counts[state])
+    states = ", ".join(f"{counts[state]} {words(state)}" for state in LIGHTS if counts[state])
     changed = sum(bool(one.changes) for one in standings)
     unknown = [trend for trend in found.trends if trend.form == "unknown"]
     over_time = f"{changed or 'None'} changed over time"

@@ -15,20 +15,21 @@ from hd_diag.arrays import Floats, Integers
 from hd_diag.config.configuration import JointConfig
 from hd_diag.config.defaults import page_of
 from hd_diag.config.parameters import JOINT_PARAMETERS, SIGNALS, Value
+from hd_diag.diagnosis.action import Advice, advice, cannot_be_judged
 from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
-from hd_diag.diagnosis.judgement import Answer, first_words
+from hd_diag.diagnosis.judgement import Answer
 from hd_diag.diagnosis.record import GAP_STEPS
 from hd_diag.diagnosis.ripple.ripple import Ripple
 from hd_diag.diagnosis.ripple.verdict import sentence as ripple_sentence
-from hd_diag.diagnosis.verdict import sentence
+from hd_diag.diagnosis.statements import sentences
 from hd_diag.effects.order_spectrum import line_width, spectrum
 from hd_diag.formatting import number, percent, words
 from hd_diag.gears.page import ASSUMED_PROFILE, Page
 from hd_diag.records.joint_record import InputRecord
 from hd_diag.replay.versions import running
 from hd_diag.report import stages, torsion
-from hd_diag.report.advice import AMBER, Card, Gauge, cards, gauges, worst
+from hd_diag.report.cards import Card, Gauge, cards, gauges
 from hd_diag.report.stages import BinnedResiduals, Curve, OverTime, Rung, Stages, benches, curves, ladder
 from hd_diag.report.teeth import TeethOverTurn, teeth_over_turn
 
@@ -60,16 +61,12 @@ class Mark(NamedTuple):
 class Judgement:
     """What measured angles add to the model's own side.
 
-    The diagnosis without its fit, whose columns are large; the verdict's beginning, how bad the joint is, as
-    a sentence of its own, and the rest of it; `state` is a colour, `kind` the judgement. `classes` are causes
-    that the record cannot tell from each other, `orders` order and amplitude [rad] of the residual by stage,
+    The diagnosis without its fit, whose columns are large; `kind` is the judgement. `classes` are causes that
+    the record cannot tell from each other, `orders` order and amplitude [rad] of the residual by stage,
     `stretches` how many the ladder's data were cut into.
     """
 
     diagnosis: Diagnosis
-    first: str
-    rest: str
-    state: str
     gauges: tuple[Gauge, ...]
     kind: str
     classes: tuple[tuple[str, ...], ...]
@@ -90,12 +87,14 @@ class Judgement:
 class JointReport:
     """One joint's part of a report; without a judgement where nothing could be judged.
 
-    `best` says whose numbers the teeth and the torsion curve are: the refitted drive's or the configured's;
-    `ripple` are the lines of the torque of a joint with one angle.
+    `said` is the headline, and a sentence for each thing more; `best` says whose numbers the teeth and the
+    torsion curve are: the refitted drive's or the configured's; `ripple` are the lines of the torque of a
+    joint with one angle.
     """
 
     name: str
-    verdict: str
+    advice: Advice
+    said: tuple[str, ...]
     best: str
     torsion: torsion.Torsion
     teeth: TeethOverTurn
@@ -103,6 +102,11 @@ class JointReport:
     settings: tuple[Fact, ...]
     judgement: Judgement | None
     ripple: Ripple | None = None
+
+    @property
+    def lines(self) -> list[str]:
+        """What is said of it in a terminal."""
+        return [self.advice.text, *self.said]
 
 
 def _weighed(found: Diagnosis) -> dict[str, Mapping[str, float]]:
@@ -124,7 +128,8 @@ def of_diagnosis(
     excluded = Fact("Taken out", f"{record.outliers} outliers, {record.dropped} not finite or out of order")
     return JointReport(
         joint.name,
-        sentence(answer),
+        advice(answer),
+        tuple(sentences(answer)),
         "refitted" if diagnosis.refitted else "configured",
         torsion.measured(found, diagnosis.configured, rng, _page(joint, flat)),
         teeth_over_turn(drive, record.input_angle, record.torque),
@@ -142,15 +147,15 @@ def of_motion(
     ripple: Ripple | None = None,
 ) -> JointReport:
     """The model's side alone, over the motion in a bag; the reason is why nothing could be judged."""
-    found = "" if ripple is None else f"{ripple_sentence(ripple)} "
-    lost = "".join(f"{line[:1].upper()}{line[1:]}. " for line in motion.stamps.lines if line not in reason)
+    found = () if ripple is None else (ripple_sentence(ripple),)
+    lost = (f"{line[:1].upper()}{line[1:]}." for line in motion.stamps.lines if line not in reason)
     drive, assumed = joint.drive, np.full(motion.time.size, joint.torque)
     teeth = teeth_over_turn(drive, motion.input_angle, assumed if motion.torque is None else motion.torque)
     most = max(abs(teeth.torque), drive.rated_torque)
     return JointReport(
         joint.name,
-        f"{found}Nothing {'else ' * bool(found)}could be judged: {reason}. {lost}"
-        "What follows is what the model says of the motion.",
+        cannot_be_judged(reason),
+        (*found, *lost, "What follows is what the model says of the motion."),
         "configured" if joint.model is None else "extended",
         torsion.simulated(joint.configured, drive, most, _page(joint, flat)),
         teeth,
@@ -221,18 +226,12 @@ def versions() -> tuple[Fact, ...]:
 def _judgement(
     answer: Answer, found: Stages, fitted: list[LinearisedFit], rng: np.random.Generator
 ) -> Judgement:
-    diagnosis, found_gauges = answer.diagnosis, gauges(answer)
+    diagnosis = answer.diagnosis
     marks = _marks(diagnosis)
     highest = float(np.clip(1.2 * max((mark.order for mark in marks), default=0.0), *_ORDERS))
-    whole, first = sentence(answer), first_words(answer)
-    rest = whole.removeprefix(first).lstrip("; ")
-    alone = rest in ("", ".")
     return Judgement(
         replace(diagnosis, found=None),
-        whole if alone else f"{first[:1].upper()}{first[1:]}.",
-        "" if alone else f"{rest[:1].upper()}{rest[1:]}",
-        worst(found_gauges) if answer.judgement != "misfit" else AMBER,
-        found_gauges,
+        gauges(answer),
         answer.judgement,
         tuple(cause.alike for cause in diagnosis.causes if len(cause.alike) > 1),
         tuple(cards(answer)),

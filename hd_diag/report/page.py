@@ -65,7 +65,7 @@ TERMS = {
 def page(reports: Sequence[JointReport], sources: Sequence[Fact]) -> str:
     """HTML of a report, with files and their digests: the same for the same numbers, without a date."""
     joints: list[dict[str, Any]] = []
-    texts = [report.verdict for report in reports]
+    texts = [line for report in reports for line in report.lines]
     for report in reports:
         name, pictures = f"joint{len(joints) + 1}", {}
         for key, title, figure, caption in drawings(report):

@@ -1,15 +1,16 @@
-"""How bad a joint is beside its limits, and what to look at: a card for every cause and parameter found."""
+"""What was found, a card for every cause and parameter, and how the joint stands beside its limits."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from hd_diag.diagnosis.evidence.solution import Cause
 from hd_diag.diagnosis.fit.fit_parameters import direction_period
-from hd_diag.diagnosis.judgement import Answer, Beside, Limited
+from hd_diag.diagnosis.judgement import Answer, Beside, Limited, is_usual
 from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE
 from hd_diag.effects.quantity import Quantity
@@ -20,11 +21,6 @@ _OWN = {effect.name: effect for effect in CATALOGUE}
 _SIGMAS = 2.0
 """A number is on a card from so many standard deviations off zero or off its configured value."""
 
-RED, GREY, AMBER, GREEN = STATES = ("red", "not_judged", "amber", "green")
-"""Of joints, the worst first: what is not known is worse than what is nearly too much."""
-
-COLOURS: dict[Beside, str] = {"within": GREEN, "near": AMBER, "beyond": RED, "open": GREY}
-
 _TOLD: dict[Beside, str] = {
     "within": "within",
     "near": "too near to its limit to judge",
@@ -32,16 +28,20 @@ _TOLD: dict[Beside, str] = {
     "open": "not known well enough",
 }
 
+_USUAL = "Usual for a new gear"
+_WITHIN = "No limit is exceeded"
+
 _Entries = Mapping[str, Mapping[str, Any]]  # value, std, unit and configured of parameters
 _Measures = tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True)
 class Card:
-    """One thing to inspect: its part in the error [rad rms], the cause in a sentence, what to measure.
+    """One thing that was found: its part in the error [rad rms], the cause in a sentence, what to measure.
 
     `inspect` says what to look at and which test would confirm it; alternatives are causes that look alike in
-    this record. Of a setting the configured number may be wrong, not the joint.
+    this record. Of a setting the configured number may be wrong, not the joint. `usual` says why it asks for
+    nothing; empty where it asks for something.
     """
 
     title: str
@@ -51,10 +51,11 @@ class Card:
     inspect: str
     alternatives: _Measures = ()
     setting: bool = False
+    usual: str = ""
 
 
 def cards(answer: Answer) -> list[Card]:
-    """Findings, then causes and parameters by their size, as far as they are two standard deviations off."""
+    """Findings, then causes and parameters by their size: those two standard deviations off or more."""
     diagnosis = answer.diagnosis
     effects = _OWN | {effect.name: effect for effect in diagnosis.catalogue}
     advice = {name: effect.inspect for name, effect in effects.items()}
@@ -63,12 +64,19 @@ def cards(answer: Answer) -> list[Card]:
         for f in diagnosis.findings
     ]
     found = [card for cause in diagnosis.causes if (card := _of_cause(cause, advice))]
+    kept = _kept(answer)
     by_title: dict[str, Card] = {}  # both compliances are one
     if diagnosis.refitted is not None:
         for change in answer.changes:
             card = _OF_PARAMETER[change.name](diagnosis.parameters, diagnosis.refitted.drive)
-            by_title.setdefault(card.title, replace(card, size=change.explains))
+            by_title.setdefault(card.title, replace(card, size=change.explains, usual=kept))
     return first + sorted([*found, *by_title.values()], key=lambda card: -card.size)
+
+
+def _kept(answer: Answer) -> str:
+    """Why nothing is to be done about parameters that are not as configured; empty where something is."""
+    places = [one.place for one in (answer.normal, answer.tolerance) if one is not None]
+    return "" if "beyond" in places or "near" in places else _WITHIN
 
 
 def _of_cause(cause: Cause, advice: Mapping[str, str]) -> Card | None:
@@ -80,15 +88,16 @@ def _of_cause(cause: Cause, advice: Mapping[str, str]) -> Card | None:
     for entry in effect.quantities:
         value, std = values[entry.name][0], spread.get(entry.name, math.nan)
         known = _known(entry, value, std)
-        if known:
-            measures.append((words(entry.name), quantity(entry, value, std)))
+        if known and not entry.shape and (told := quantity(entry, value, std)):
+            measures.append((words(entry.name), told))
         if entry.linear and entry.periodic is None:
             sizes, sure = sizes + 1, sure + known
     if sizes and not sure:
         return None
     others = tuple((words(name), advice.get(name, "")) for name in cause.alike if name != effect.name)
     title = words(effect.name).capitalize()
-    return Card(title, cause.amplitude, effect.cause, tuple(measures), effect.inspect, others)
+    usual = _USUAL if is_usual(cause) else ""
+    return Card(title, cause.amplitude, effect.cause, tuple(measures), effect.inspect, others, usual=usual)
 
 
 def _known(entry: Quantity, value: float, std: float) -> bool:
@@ -99,7 +108,10 @@ def _known(entry: Quantity, value: float, std: float) -> bool:
 
 
 def quantity(entry: Quantity, value: float, spread: float) -> str:
-    """The value of an effect's quantity."""
+    """The value of an effect's quantity; of a switch what its meaning says, which may be nothing."""
+    if entry.discrete and (entry.low, entry.high) == (0.0, 1.0):
+        forms = dict(form.split(": ", 1) for form in re.split(r", (?=1: )", entry.meaning))
+        return forms.get(f"{value:.0f}", "")
     if entry.periodic is not None:
         return direction(value, spread, entry.periodic)
     if entry.unit == "rad" and entry.name == "angle":
@@ -240,12 +252,6 @@ def gauges(answer: Answer) -> tuple[Gauge, ...]:
     if answer.tolerance is not None and allowed is not None:
         found.append(_gauge("Eccentricity", f"limit by {words(allowed.criterion)}", answer.tolerance))
     return tuple(found)
-
-
-def worst(found: Sequence[Gauge]) -> str:
-    """Colour of a joint with these gauges, as far as they are known."""
-    known = [COLOURS[gauge.state] for gauge in found if gauge.state != "open"]
-    return min(known, key=STATES.index, default=GREY)
 
 
 def _gauge(name: str, limit: str, one: Limited) -> Gauge:

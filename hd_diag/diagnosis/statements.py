@@ -1,0 +1,224 @@
+"""A diagnosis in words: a headline, and one statement for each thing that was found."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from hd_diag.arrays import Floats
+from hd_diag.diagnosis.diagnosis import Diagnosis
+from hd_diag.diagnosis.evidence.calibration import TWO_SIDED
+from hd_diag.diagnosis.evidence.order_table import OrderRow
+from hd_diag.diagnosis.evidence.search import FURTHER_CAUSES
+from hd_diag.diagnosis.evidence.solution import Cause, Function
+from hd_diag.diagnosis.evidence.unexplained import Unexplained
+from hd_diag.diagnosis.fit.fit_parameters import direction_period
+from hd_diag.diagnosis.judgement import Answer, Change, first_words, is_usual
+from hd_diag.effects.effect import Effect
+from hd_diag.formatting import ARCSEC, arcsec, direction, si, spread_number, words
+
+_DISPLACED = {
+    "eccentricity": ("the eccentricity", 1e6, "µm"),
+    "runout": ("the wave generator's runout", 1e6, "µm"),
+    "tilt": ("the wave generator's tilt", 1e3, "mrad"),
+}  # in words, and as people state it
+_SAME_ORDER = 0.02  # of an order, by which two estimates of it may differ
+_PER = {"input": "per input turn", "output": "per output turn", "time": "Hz"}
+
+
+def sentence(answer: Answer) -> str:
+    """The verdict in one sentence: the headline, then all statements."""
+    return ended("; ".join([first_words(answer), *statements(answer)]))
+
+
+def sentences(answer: Answer) -> list[str]:
+    """The same as sentences of their own; what ends a diagnosis is no part, for the advice says it."""
+    fatal = any(finding.fatal for finding in answer.diagnosis.findings)
+    parts = [*([] if fatal else [first_words(answer)]), *statements(answer)]
+    return [ended(f"{part[:1].upper()}{part[1:]}") for part in parts]
+
+
+def statements(answer: Answer) -> list[str]:
+    """What the diagnosis says after its headline, one thought each."""
+    diagnosis = answer.diagnosis
+    lost = diagnosis.record.stamps.lines
+    if any(finding.fatal for finding in diagnosis.findings):
+        return list(lost)
+    parts = list(dict.fromkeys([*(finding.text for finding in diagnosis.findings), *lost]))
+    parts += [_parameters(answer), *_current(diagnosis)]
+    if diagnosis.refitted is not None:
+        parts += _causes(answer)
+    return [*parts, *_without_a_name(diagnosis), *_limits(diagnosis)]
+
+
+def _without_a_name(diagnosis: Diagnosis) -> list[str]:
+    """Lines that nothing explains, lines that are described, and remainders that are larger than usual."""
+    rows = [row for row in diagnosis.order_table if row.repeats]
+    lines = [one for one in diagnosis.unexplained if not any(_describes(row, one) for row in rows)]
+    groups = {
+        "unexplained": map(_line_in_words, lines),
+        "described, not explained": map(_row_in_words, rows),
+        "larger than usual, by no known cause": map(function_in_words, diagnosis.larger),
+    }
+    told = {name: ", ".join(some) for name, some in groups.items()}
+    return [f"{name}: {some}" for name, some in told.items() if some]
+
+
+def _limits(diagnosis: Diagnosis) -> list[str]:
+    """What limits the diagnosis: hints that predict nothing, rows that were not used, and the time."""
+    rms, record, parts = diagnosis.rms, diagnosis.record, []
+    if rms is not None and diagnosis.hints and not diagnosis.predicting:
+        left = rms.by_causes / ARCSEC
+        parts.append(
+            "held-out data are predicted no better with it than without "
+            f"({left:.2f} against {arcsec(rms.without_causes)}): record more"
+        )
+    if record.size < record.extent.samples:
+        samples = f"{record.size} of {record.extent.samples} samples"
+        parts.append(f"fitted to {samples}, in stretches all over the record")
+    if diagnosis.left_out:
+        parts.append(f"the time limit was reached, so this was left out: {', '.join(diagnosis.left_out)}")
+    return parts
+
+
+def _causes(answer: Answer) -> list[str]:
+    """Those that can be named, then those that are nearest to what is left; or why there are none."""
+    found = answer.diagnosis
+    parts = {"beside that": found.causes, "nearest to it, though not to be named for it": found.hints}
+    if said := [f"{how}: {'; '.join(map(_cause_in_words, some))}" for how, some in parts.items() if some]:
+        return said
+    if FURTHER_CAUSES in found.left_out:
+        return ["no cause was found within the time limit"]
+    if not found.unexplained and answer.judgement != "misfit":
+        return ["no other cause is needed"]
+    return ["none of the known causes explains the rest"]
+
+
+def ended(text: str) -> str:
+    """A text with the mark at its end."""
+    return text if text.endswith(("?", ".")) else f"{text}."
+
+
+def _current(diagnosis: Diagnosis) -> list[str]:
+    """What cannot be determined because the torque is a motor's current."""
+    values = motor_values(diagnosis)
+    if values is None:
+        return []
+    gain, dry = values["relative_error"], values["friction"]
+    constant = spread_number(100.0 * gain["value"], 100.0 * gain["std"], "%")
+    return [
+        f"the torque is a motor's current: its constant ({'+' if gain['value'] > 0.0 else ''}{constant}), "
+        f"friction ({spread_number(dry['value'], dry['std'], 'N m')}) and inertia are fitted too, so neither "
+        "the stiffness nor a small friction can be determined"
+    ]
+
+
+def _parameters(answer: Answer) -> str:
+    """What the fit of the model's own parameters says, in words: what changes the error most first."""
+    diagnosis, changed = answer.diagnosis, answer.changes
+    if diagnosis.refitted is None:
+        return "described by its orders alone, without a tooth model: nothing is said about causes"
+    if not diagnosis.refitted.trustworthy:
+        return "the model's parameters are ambiguous: several sets fit about as well"
+    if not changed:
+        size = diagnosis.parameters["eccentricity.magnitude"]
+        text = f"the eccentricity is as configured ({size['configured'] * 1e6:.1f} µm)"
+        away = abs(size["value"] - size["configured"]) + TWO_SIDED * size["std"]
+        most = diagnosis.kept.get("eccentricity", away)
+        # A bound stands on a model that describes the record.
+        if answer.judgement == "misfit" or answer.vague:
+            return f"{text}, and how far off it may be cannot be determined"
+        return f"{text}, as far as this record tells: no more than {most * 1e6:.1f} µm off"
+    text = ", ".join(_change_in_words(diagnosis, change) for change in changed)
+    if changed[0].name in _DISPLACED:
+        return text
+    return f"the configured drive is not this gear: {text}"
+
+
+def _change_in_words(diagnosis: Diagnosis, change: Change) -> str:
+    if change.name in _DISPLACED:
+        what, scale, unit = _DISPLACED[change.name]
+        turned, drive = diagnosis.parameters[f"{change.name}.direction"], diagnosis.configured
+        angle = turned["value"] - (0.0 if change.name == "runout" else drive.kinematics.phase)
+        period = direction_period(change.name, drive)
+        towards = direction(angle, turned["std"], period).replace("modulo", "mod")
+        size = spread_number(change.value * scale, change.std * scale, unit)
+        return f"{what} is {size} at {towards} from the long axis, not {change.configured * scale:.1f} {unit}"
+    name = {"circular_spline_datum": "datum"}.get(change.name, words(change.name))
+    more = change.value - change.configured
+    size = si(abs(more), change.std, change.unit)
+    if change.name == "tooth_compliance":
+        scale = 100.0 / change.configured
+        size = spread_number(abs(more * scale), change.std * scale, "%")
+    return f"{name} {'+' if more > 0.0 else '−'}{size}"
+
+
+def _row_in_words(row: OrderRow) -> str:
+    order = f"{row.order:.0f}" if row.order == round(row.order) else f"{row.order:.3f}"
+    law = " at the rated torque" if row.nonlinear[1] else ""
+    return f"{order} {_PER[row.frame]} ({arcsec(row.amplitude)}{law})"
+
+
+def _describes(row: OrderRow, line: Unexplained) -> bool:
+    """Whether a row of the order table describes the same wave."""
+    is_wave = not line.description and line.frame == row.frame
+    return is_wave and math.isclose(line.order, row.order, rel_tol=_SAME_ORDER)
+
+
+def _cause_in_words(cause: Cause) -> str:
+    which = " (this record cannot tell which)" if len(cause.alike) > 1 else ""
+    usual = ", usual for a gear" if is_usual(cause) else ""
+    return f"{names_of(cause)}{which}, {arcsec(cause.amplitude)} rms{usual}"
+
+
+def names_of(cause: Cause) -> str:
+    """Its name in words, with those of all that this record cannot tell from it."""
+    return " or ".join(map(words, cause.alike))
+
+
+_OF = {
+    "torque": ("the torsion's shape", 1.0, "N m"),
+    "speed": ("a part that follows the speed", 1.0, "rad/s"),
+    "place": ("a part that follows the output's place", 180.0 / math.pi, "°"),
+    "time": ("a slow drift", 1.0, "s"),
+}  # in words, and the unit of where it is greatest
+
+
+def function_in_words(one: Function) -> str:
+    """A remainder in words, with its size."""
+    name = one.effect.name.removeprefix("function_of_")
+    if name not in _OF:
+        order = name.removeprefix("line_")
+        return f"a wave of {order} per input turn that changes with the torque ({arcsec(one.rms)} rms)"
+    what, scale, unit = _OF[name]
+    return f"{what} ({arcsec(one.largest)} at {one.at * scale:.3g} {unit})"
+
+
+def _line_in_words(line: Unexplained) -> str:
+    if line.description:
+        return f"a part that {line.description} ({arcsec(line.amplitude)})"
+    where = f" {line.where}" if line.where else ""
+    return f"{line.order:.2f} {_PER[line.frame]}{where}, {arcsec(line.amplitude)}"
+
+
+# Numbers ---
+
+
+def motor_values(diagnosis: Diagnosis) -> dict[str, Any] | None:
+    """What a motor needs of its torque, as fitted; None where the torque is no current."""
+    for term in diagnosis.model.effects if diagnosis.model else ():
+        if term.effect.given:
+            return values_of(term.effect, np.array(term.coefficients), term.nonlinear, diagnosis.motor_std)
+    return None
+
+
+def values_of(
+    effect: Effect, coefficients: Floats, nonlinear: tuple[float, ...], stds: dict[str, float]
+) -> dict[str, Any]:
+    """Physical quantities of an effect, with what is known of their standard deviations."""
+    return {
+        name: {"value": value, "std": stds.get(name, math.nan), "unit": unit}
+        for name, (value, unit) in effect.to_physical(coefficients, nonlinear).items()
+    }
