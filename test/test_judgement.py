@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_verdict import ENDED, LINE, SKIP, WRONG_RATIO, cause, diagnosis, found, function, refitted
+from test_verdict import AT_BOUND, ENDED, LINE, SKIP, WRONG_RATIO, cause, diagnosis, found, function, refitted
 
 from hd_diag.diagnosis.action import advice
 from hd_diag.diagnosis.diagnosis import Allowed, Diagnosis
@@ -65,10 +65,11 @@ def test_a_cause_beside_a_misfit_is_a_misfit_and_said_first() -> None:
     [
         (("coulomb_windup", "torque_offset", "viscous_windup", "stream_delay"), {}, True),
         (("coulomb_windup", "torque_offset", "viscous_windup", "stream_delay", "resonance"), {}, False),
-        ((), {"refitted": refitted(trustworthy=False)}, False),
+        ((), {"refitted": refitted(trustworthy=False)}, True),
+        ((), {"refitted": dataclasses.replace(refitted(), parameters=AT_BOUND)}, False),
         ((), {"rms": MISFIT}, False),
     ],
-    ids=["a small class", "a class nobody can use", "ambiguous parameters", "more left than explained"],
+    ids=["a small class", "a class nobody can use", "ambiguous parameters", "a bound", "more than noise"],
 )
 def test_what_the_record_cannot_tell_is_a_hint(
     alike: tuple[str, ...], changes: dict[str, Any], told: bool

@@ -43,7 +43,7 @@ _NO_LAWS = ("no law was found", "no law was found")
 _BY_TORQUE = ("friction", "torsion")  # kinds of causes that a motor's own friction and constant imitate
 _BY_MOTOR = "a motor's own friction and constant imitate it: measure the torque at the joint"
 _HIDDEN = "more than noise is left at the gear's lines: what else is wrong may hide it"
-_AMBIGUOUS = "the parameters are ambiguous: with others it may be there"
+_AT_BOUND = "a parameter is as far off as it can be: something else takes part in it"
 _NOT_PREDICTED = "held-out data are predicted no better with the causes than without"
 _SHAPE = "it is the torsion's own shape: see the function of torque"
 _PARAMETERS = "it is a parameter of the model: see these"
@@ -139,8 +139,8 @@ class Diagnosis:
         names, why = [effect.name for effect in self.catalogue], ""
         if self.misfit and self.misfit.certain and self.rms and not self.rms.gear < MISFIT:
             why = _HIDDEN
-        elif self.refitted and not self.refitted.trustworthy:
-            why = _AMBIGUOUS
+        elif self.refitted and fit_parameters.at_bound(self.refitted.parameters, self.configured):
+            why = _AT_BOUND
         elif self.record.by_current:
             of_motor = (
                 effect.kind in _BY_TORQUE or effect.stage == Stage.TORQUE for effect in self.catalogue

@@ -209,7 +209,8 @@ def search(
             best = now if found is None else found
             if found is None:
                 break
-    return Found(best, _rivals(minima, every), instead, reach)
+    rivals = _rivals(minima, every)
+    return Found(best, rivals, _beside_rivals(instead, minima[0], rivals, every), reach)
 
 
 def _tell(work: Work, half: float, turn: int, text: str) -> None:
@@ -241,6 +242,16 @@ def _rivals(minima: list[Set], every: LinearisedFit) -> tuple[Set, ...]:
     least = best.value + math.log(1.0 - NAMED) * best.fit.data.at.size / every.data.at.size
     near = [one for one in others if one.value > least and one.names == best.names]
     return tuple(one for one in near if _is_beyond_valley(best, one))
+
+
+def _beside_rivals(instead: Instead, best: Set, rivals: Sequence[Set], every: LinearisedFit) -> Instead:
+    """The same, where none in a cause's place may be as likely with the parameters of a rival."""
+    times, found = every.data.at.size / best.fit.data.at.size, dict(instead)
+    for name in instead.keys() & best.names:
+        values = [one.without(name).settled().value for one in rivals]
+        odds = [times * (value - best.value) for value in values]
+        found[name] = {**instead[name], "": max([instead[name].get("", -math.inf), *odds])}
+    return found
 
 
 def _is_beyond_valley(best: Set, other: Set, own: Sequence[int] | None = None) -> bool:

@@ -15,8 +15,8 @@ from hd_diag.arrays import Floats, Integers
 _DRAWS = 2000  # of a bootstrap
 _ONE_PER_CENT = 2.326  # standard deviations
 _ALONE = 1e-10  # share of a column outside a block that is nothing but rounding
-_TOLD_APART = 1e-6  # of the inverse times the matrix from one
 _DISAGREEING = 0.1  # share of what was predicted that may lie in blocks which it made worse
+_TOLD_APART = 1e-6  # of the inverse times the matrix from one
 
 
 @dataclass(frozen=True)
@@ -265,20 +265,21 @@ def holds(gain: Floats, predicted: Floats) -> bool:
     Returns
     -------
     bool
-        If more than half of what others foretell is there, which is worth to be foretold: beyond the scatter
-        of the blocks, which count by what is foretold of them; or beyond what noise explains, and no more
-        than it may add, from blocks that agree: a cause may show at few speeds or torques only.
+        If more than half of what others foretell is there, for certain: by noise, where the blocks agree or
+        scatter no more than it lets them, and then no more than it may add; else by their scatter, each
+        counting by what is foretold of it.
     """
-    whole = float(predicted.sum())
-    if gain.size < 2 or whole <= 0.0:
+    whole, few = float(predicted.sum()), gain.size - 1
+    if few < 1 or whole <= 0.0:
         return False
     share = 0.5 * (1.0 + float(gain.sum()) / whole)
     away = 0.5 * (gain + predicted) - share * predicted
-    noise, scatter = (float(np.sqrt(one)) / whole for one in (whole, away @ away))
+    square, noise = float(away @ away), whole**-0.5
     agreeing = float(predicted[gain < 0.0].sum()) <= _DISAGREEING * whole
-    beyond_scatter = share - 0.5 > stats.t.ppf(0.99, gain.size - 1) * max(scatter, noise)
+    as_noise = agreeing or square <= whole * float(stats.chi2.ppf(0.99, few)) / few
     by_noise = 0.5 + _ONE_PER_CENT * noise < share < 1.0 + _ONE_PER_CENT * noise
-    return bool(beyond_scatter or (agreeing and by_noise))
+    beyond_scatter = share - 0.5 > stats.t.ppf(0.99, few) * max(square**0.5 / whole, noise)
+    return bool(beyond_scatter or (as_noise and by_noise))
 
 
 def interval(gains: Floats, rng: np.random.Generator, over: Floats | None = None) -> tuple[float, float]:
