@@ -1,9 +1,10 @@
 """The node's CPU per message beside an empty rclpy node's, in one run; load from a process of its own.
 
-    python bench/bench_node.py [--joints 1 7] [--rate HZ] [--seconds S] [--json FILE]
+    python bench/bench_node.py [--joints 1 7] [--sections 1 5] [--rate HZ] [--seconds S] [--json FILE]
 
 All joints come in one message, with effort, at the rate. Only the diagnostics are subscribed to;
-per-tooth arrays at their default rate. CPU is that of the whole process with its DDS threads, from
+per-tooth arrays at their default rate. With more sections than one the node with a log runs once more for
+each number, its drives as coned cups. CPU is that of the whole process with its DDS threads, from
 when its maps are in force until the last report has come. The empty nodes do nothing: SingleThreadedExecutor
 with a typed callback, as most rclpy nodes are, and EventsExecutor with a raw one.
 """
@@ -34,6 +35,7 @@ from sensor_msgs.msg import JointState
 from hd_diag.messages.encoding import encode_joint_states
 
 DEPTH = 2000
+CUP = {"face_width": 0.011, "cup_length": 0.04}  # the paper's [m]
 WARM_UP = 1.0  # [s]
 LIMIT = 120.0  # for start, maps and answers [s]
 TICK = os.sysconf("SC_CLK_TCK")
@@ -160,10 +162,13 @@ class Reports:
                 last, since = samples, time.monotonic()
 
 
-def node_case(folder, joints, log, options):
-    given = {"joints": [f"joint_{k}" for k in range(1, joints + 1)]}
+def node_case(folder, joints, log, sections, options):
+    every = [f"joint_{k}" for k in range(1, joints + 1)]
+    given = {"joints": every}
+    if sections > 1:
+        given |= {joint: CUP | {"sections": sections} for joint in every}
     if log:
-        given["log.path"] = str(folder / f"log_{joints}.mcap")
+        given["log.path"] = str(folder / f"log_{joints}_{sections}.mcap")
     file = folder / "parameters.yaml"
     file.write_text(yaml.safe_dump({"hd_diag": {"ros__parameters": given}}))
     reports = Reports()
@@ -176,7 +181,8 @@ def node_case(folder, joints, log, options):
         if process.wait(LIMIT):
             sys.exit(f"the node ended with {process.returncode}")
     reports.node.destroy_node()
-    return row(f"hd_diag, log {'on' if log else 'off'}", joints, used, wall, lost, count)
+    told = f", {sections} sections" if sections > 1 else ""
+    return row(f"hd_diag, log {'on' if log else 'off'}{told}", joints, used, wall, lost, count)
 
 
 def row(label, joints, used, wall, lost, count):
@@ -201,7 +207,8 @@ def bench(options):
     with tempfile.TemporaryDirectory() as folder:
         for joints in options.joints:
             cases = [lambda k=kind, n=joints: empty_case(k, n, options) for kind in ("single", "events")]
-            cases += [lambda on=on, n=joints: node_case(Path(folder), n, on, options) for on in (False, True)]
+            nodes = [(False, 1), *((True, sections) for sections in options.sections)]
+            cases += [lambda c=case, n=joints: node_case(Path(folder), n, *c, options) for case in nodes]
             first = None
             for case in cases:
                 found = case()
@@ -221,6 +228,7 @@ def bench(options):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--joints", type=int, nargs="+", default=[1, 7])
+    parser.add_argument("--sections", type=int, nargs="+", default=[1])
     parser.add_argument("--rate", type=float, default=1000.0, help="messages per second")
     parser.add_argument("--seconds", type=float, default=6.0)
     parser.add_argument("--json", type=Path)

@@ -31,6 +31,7 @@ class Skipped(Exception):
 
 HOUR = 3600.0  # [s]
 RATE = 1000.0  # [Hz]
+LOGGED, SECTIONS = "hd_diag, log on", (1, 3, 5)  # the node, and along the width of its drives
 DIAGNOSED = 120.0  # [s]
 DIAGNOSED_RATE = 500.0  # [Hz]
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -140,6 +141,7 @@ def node(options):
     with tempfile.TemporaryDirectory() as folder:
         written = Path(folder) / "node.json"
         run = [sys.executable, str(ROOT / "bench/bench_node.py"), "--joints", "1", "7", "--seconds", "4"]
+        run += ["--sections", *map(str, SECTIONS)]
         done = subprocess.run([*run, "--json", str(written)], capture_output=True, text=True, check=False)
         if done.returncode:
             raise RuntimeError(f"bench_node.py ended with {done.returncode}: {done.stderr[-500:]}")
@@ -150,13 +152,21 @@ def node(options):
             **{"value": row["cpu_per_message_us"], "unit": "us", "ratio": row["beside_empty"]},
             **{"against": "empty rclpy node", "note": f"{row['lost']} lost" if row["lost"] else ""},
         }
-    last = rows[-1]  # all joints, with the log
+    last = next(row for row in rows[::-1] if row["node"] == LOGGED)  # all joints
     for what, value, unit, aim in (
         ("part of the empty node's CPU", last["beside_empty"], "-", 0.7),
         ("share of a core", 100.0 * last["share_of_core"], "%", 30.0),
     ):
         label = f"{last['node']}, {last['joints']} joints, 1 kHz: {what}"
         yield {"what": label, "value": value, "unit": unit, "aim": aim, "aim_unit": unit}
+    for row in rows:
+        if row["node"].startswith(f"{LOGGED}, "):
+            plane = next(r for r in rows if r["node"] == LOGGED and r["joints"] == row["joints"])
+            yield {
+                "what": f"{row['node']}, {row['joints']} joint{'s' * (row['joints'] > 1)}: share of a core",
+                **{"value": 100.0 * row["share_of_core"], "unit": "%", "against": "one section"},
+                "ratio": row["cpu_per_message_us"] / plane["cpu_per_message_us"],
+            }
 
 
 PROCESSES = {"bags": bags, "node": node}

@@ -71,7 +71,8 @@ def test_an_environment_compiles_the_kernels_of_model_and_tolerances() -> None:
     """What the script runs leaves nothing that the first study or diagnosis would compile."""
     parts = re.findall(r"-c '(.*warm_up.*)'", (ROOT / "scripts" / "environment.sh").read_text())
     kernels = (
-        "tolerance.evaluate, entry.torsion, entry.torsion_and_gradient, entry.torsion_of_flanks, *slow,"
+        "tolerance.loads, tolerance.lobes, entry.torsion, entry.torsion_and_gradient,"
+        "entry.torsion_of_flanks, *slow,"
         "align, messages.write, messages.read, monitor.compare, orders.follow"
     )
     compiled = f"print([len(k.signatures) for k in ({kernels})])"
@@ -94,7 +95,7 @@ def test_an_environment_compiles_the_kernels_of_model_and_tolerances() -> None:
     program = f"import sys; {here}; {'; '.join(parts)}; {imports}; {compiled}; {use}; {compiled}"
     command = [sys.executable, "-c", program]
     ran = subprocess.run(command, check=True, capture_output=True, text=True, timeout=300)
-    assert ran.stdout.splitlines() == ["[1, 1, 1, 1, 1, 1, 1, 1, 2, 1, 1]"] * 2
+    assert ran.stdout.splitlines() == ["[1, 1, 1, 1, 1, 1, 1, 1, 1, 2, 1, 1]"] * 2
 
 
 def test_moments_are_those_of_the_mesh() -> None:

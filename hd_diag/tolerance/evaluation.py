@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,6 +46,9 @@ CRITERIA = (
 
 NAMES = tuple(criterion.name for criterion in CRITERIA)
 
+# What they need of a moment: the first lobe as it is held, all flanks, and loads on these.
+_OF_LOBE, _OF_FLANKS, _OF_LOADS = frozenset(NAMES[:2]), frozenset(NAMES[1:]), frozenset(NAMES[2:])
+
 
 @dataclass(frozen=True)
 class Evaluation:
@@ -76,8 +80,11 @@ def evaluate(
     torque: Floats,
     slot_angle: Floats | None = None,
     tilt: Complexes | None = None,
+    wanted: Collection[str] = NAMES,
 ) -> Evaluation:
     """Quantities of a mesh at any number of moments; nan where no flank can bear the torque.
+
+    What none of the `wanted` criteria needs is nan, too.
 
     The moments are wave generator angles theta_W [rad] and displacements of its centre in the housing, x + iy
     [m], each (n,); the mesh's own eccentricity and runout do not count. Torques are M on the cup (q,) [N m];
@@ -98,9 +105,15 @@ def evaluate(
     slots = np.zeros(mesh.geometry.circular_spline_teeth) if slot_angle is None else contiguous(slot_angle)
     leaning = np.full(turn.size, mesh.tilt) if tilt is None else np.ascontiguousarray(tilt)
     leaning = leaning.astype(np.complex128, copy=False)
-    geometry, loads = kernel.evaluate(mesh.data, turn, center, leaning, -across, slots, contiguous(torque))
-    gap, least, radius = geometry.T
-    return Evaluation(-least, -gap * radius, *np.moveaxis(loads, 2, 0))
+    loads = np.full((4, turn.size, torque.size), np.nan)
+    gap, least, radius = np.full((3, turn.size), np.nan)
+    if not _OF_LOBE.isdisjoint(wanted):
+        least, radius = kernel.lobes(mesh.data, turn, center, leaning, -across, slots).T
+    if not _OF_FLANKS.isdisjoint(wanted):
+        borne = contiguous(torque if not _OF_LOADS.isdisjoint(wanted) else torque[:0])
+        gap, found = kernel.loads(mesh.data, turn, center, leaning, slots, borne)
+        loads = np.moveaxis(found, 2, 0) if borne.size else loads
+    return Evaluation(-least, -gap * radius, *loads)
 
 
 def reference_stiffness(drive: Drive, cup_torque: Floats) -> Floats:
@@ -159,10 +172,11 @@ def over_turns(found: Evaluation, turns: int, cup_compliance: float, reference: 
 
 
 def warm_up() -> None:
-    """Compile now, or read from the disk, the model's kernels and that of :func:`evaluate`."""
+    """Compile now, or read from the disk, the model's kernels and those of :func:`evaluate`."""
     from hd_diag.tolerance import kernel
 
     torsion.warm_up()
     row = np.empty(0)
     center = row.astype(np.complex128)
-    kernel.evaluate(blank(), row, center, center, row, row, row)
+    kernel.loads(blank(), row, center, center, row, row)
+    kernel.lobes(blank(), row, center, center, row, row)

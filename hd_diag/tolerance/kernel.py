@@ -1,4 +1,4 @@
-"""What :func:`hd_diag.tolerance.evaluation.evaluate` gives, compiled; imports numba."""
+"""What :func:`hd_diag.tolerance.evaluation.evaluate` gives, compiled in two parts; imports numba."""
 
 from __future__ import annotations
 
@@ -25,21 +25,15 @@ from hd_diag.model.kernel.poses import Teeth, place
 
 
 @entry_point
-def evaluate(
-    mesh: MeshData,
-    turn: Floats,
-    center: Complexes,
-    tilt: Complexes,
-    anchor: Floats,
-    slot_angle: Floats,
-    torque: Floats,
+def loads(
+    mesh: MeshData, turn: Floats, center: Complexes, tilt: Complexes, slot_angle: Floats, torque: Floats
 ) -> tuple[Floats, Floats]:
-    """Gap, least backlash and mean contact radius at lobe 0 (n, 3); `_load` at every torque (n, q, 4).
+    """Gap between both lobes (n,) [rad]; `_load` at every torque (n, q, 4).
 
-    ``tilt`` (n,) takes the place of the mesh's, ``anchor`` (n,) is the arc offset at which the backlash
-    counts [m], ``slot_angle`` (Z_G,) by how much each slot stands counter-clockwise of its place [rad].
+    ``tilt`` (n,) takes the place of the mesh's, ``slot_angle`` (Z_G,) is by how much each slot stands
+    counter-clockwise of its place [rad].
     """
-    work, geometry = scratch(mesh), np.empty((turn.size, 3))
+    work, gap = scratch(mesh), np.empty(turn.size)
     loads, force = np.empty((turn.size, torque.size, 4)), np.empty((2, mesh.constants.flexspline_teeth))
     for i in range(turn.size):
         leant = MeshData(mesh.constants, mesh.tables, mesh.compliance, mesh.arc_offset, tilt[i])
@@ -49,10 +43,23 @@ def evaluate(
         found = both(found.plus, found.minus)
         for j in range(torque.size):
             _load(mesh.compliance, work.teeth, found, torque[j], force, loads[i, j])
-        geometry[i, 0] = found.high - found.low
+        gap[i] = found.high - found.low
+    return gap, loads
+
+
+@entry_point
+def lobes(
+    mesh: MeshData, turn: Floats, center: Complexes, tilt: Complexes, anchor: Floats, slot_angle: Floats
+) -> Floats:
+    """Least backlash and mean contact radius at lobe 0 (n, 2) [m].
+
+    As :func:`loads`; ``anchor`` (n,) is the arc offset at which the backlash counts [m].
+    """
+    work, found = scratch(mesh), np.empty((turn.size, 2))
+    for i in range(turn.size):
         held = MeshData(mesh.constants, mesh.tables, mesh.compliance, anchor[i], tilt[i])
-        geometry[i, 1], geometry[i, 2] = _lobe(held, turn[i], center[i], slot_angle, work)
-    return geometry, loads
+        found[i, 0], found[i, 1] = _lobe(held, turn[i], center[i], slot_angle, work)
+    return found
 
 
 @part
