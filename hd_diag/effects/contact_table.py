@@ -9,7 +9,6 @@ still, can also be put into the contact at their full size.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property, lru_cache
 from itertools import product
@@ -24,10 +23,6 @@ from hd_diag.model.contact import FLANKS, Contact, contacts
 from hd_diag.model.load_sharing import flank_stiffness, torsion_of_flanks
 from hd_diag.model.torsion import torsion, torsion_table
 from hd_diag.model.torsion_map import TorsionMap, build
-
-# Coefficients and angles along the flexspline [rad] to the teeth's displacement [m], alike after half a turn
-# and in proportion to the coefficients.
-Displacement = Callable[[Floats, Floats], Floats]
 
 # Circumferential displacement of slots or of teeth, radial one of slots, clearance of all flanks.
 Error = Literal["slot", "tooth", "radial", "clearance"]
@@ -171,14 +166,16 @@ class ContactTable:
         """
         return self._kept.get(errors.tobytes(), lambda: self._displaced(*errors))
 
-    def teeth_beyond(self, displacement: Displacement, coefficients: tuple[float, ...]) -> Floats:
+    def teeth_beyond(self, orders: tuple[int, ...], coefficients: tuple[float, ...]) -> Floats:
         """What errors of the flexspline's teeth do at their size beyond their first order [rad].
+
+        They are waves of an even number of periods around, each with a cosine and a sine coefficient [m].
 
         Shape (PHASES, torques, angles): at phases ``pi n / PHASES`` of the flexspline's turn under
         the wave generator.
         """
         return self._kept.get(
-            (displacement, coefficients), lambda: self._teeth_beyond(displacement, np.array(coefficients))
+            (orders, coefficients), lambda: self._teeth_beyond(orders, np.array(coefficients))
         )
 
     def one_tooth(
@@ -292,13 +289,16 @@ class ContactTable:
             stiffness = stiffness * np.exp(np.clip(softer, -1.0, 1.0))
         return self._torsion(rotation, stiffness) - self.torsion
 
-    def _teeth_beyond(self, displacement: Displacement, coefficients: Floats) -> Floats:
-        every = slice(None, None, _SPARSE)
-        rest, stiffness, found = self.contact.rotation[every], self._stiffness[every], []
-        for phase in np.pi / PHASES * np.arange(PHASES):
-            opened = displacement(coefficients, self._tooth_angle + phase)[:, None, :] / self._radius
-            first = self.torsion - self._borne(opened) / self._bearing
-            found.append(self._torsion(rest - FLANKS * opened[every], stiffness) - first[:, every])
+    def _teeth_beyond(self, orders: tuple[int, ...], coefficients: Floats) -> Floats:
+        every, found = slice(None, None, _SPARSE), []
+        rest, stiffness, radius = self.contact.rotation[every], self._stiffness[every], self._radius[every]
+        whole = coefficients[::2] - 1j * coefficients[1::2]  # a cos + b sin is Re (a - i b) exp
+        waves = np.exp(1j * np.multiply.outer(self._tooth_angle[every], orders)) * whole
+        response = self.harmonics("tooth", orders)[:, every] * whole
+        for turn in np.exp(1j * np.multiply.outer(np.pi / PHASES * np.arange(PHASES), orders)):
+            opened = (waves @ turn).real[:, None, :] / radius
+            first = self.torsion[:, every] + (response @ turn).real
+            found.append(self._torsion(rest - FLANKS * opened, stiffness) - first)
         place = np.arange(self.steps + 1) / _SPARSE
         low = np.minimum(place.astype(np.int64), found[0].shape[1] - 2)
         table = np.nan_to_num(np.stack(found))

@@ -17,7 +17,6 @@ from hd_diag.effects.contact_table import (
     PHASES,
     TORQUES,
     ContactTable,
-    Displacement,
     Error,
     Neighbours,
     Openings,
@@ -131,17 +130,18 @@ class ContactWeights:
         change = self.table.displaced(errors)
         return self._sign * self._interpolate(change[..., None])[:, 0]
 
-    def teeth_beyond(self, displacement: Displacement, coefficients: Floats) -> Floats:
+    def teeth_beyond(self, orders: tuple[int, ...], coefficients: Floats) -> Floats:
         """Change of TE [rad] by errors of the flexspline's teeth at their full size, beyond the first order.
 
-        Solved at coefficients (k,) [m] `_ROUNDED` apart, and in proportion to the square of the size between.
+        They are waves of so many periods around, each with a cosine and a sine coefficient (2 k,) [m]. Solved
+        at coefficients `_ROUNDED` apart, and in proportion to the square of the size between.
         """
         size = float(np.linalg.norm(coefficients))
         rounded = _ROUNDED * np.rint(coefficients / _ROUNDED)
         solved = float(np.linalg.norm(rounded))
         if not solved:
             return np.zeros(self.torque.size)
-        table = self.table.teeth_beyond(displacement, tuple(rounded.tolist()))
+        table = self.table.teeth_beyond(orders, tuple(rounded.tolist()))
         table = self._sign * (size / solved) ** 2 * table
         turned = self.wave_generator_angle * (1.0 + 1.0 / self.drive.mesh.geometry.reduction)
         (low, low_share), (high, high_share) = _neighbours(np.mod(turned, np.pi) * (PHASES / np.pi), PHASES)

@@ -8,7 +8,7 @@ from typing import Any
 from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Effect, Stepped, Values
 from hd_diag.effects.excitation import enough_output_turns, torque_varies
-from hd_diag.effects.quantity import harmonic_sum, harmonics, lobes
+from hd_diag.effects.quantity import harmonics, lobes
 from hd_diag.effects.signals import Signals
 
 ORDERS = (2, 4)  # two opposite lobes cancel the odd ones
@@ -24,11 +24,7 @@ class FlexsplinePitch(Effect):
     def step(self, state: Any, signals: Signals, coefficients: Floats, nonlinear: Values) -> Stepped:
         """The teeth displaced at their full size; see :meth:`Effect.step`."""
         first = self.columns(signals, nonlinear) @ coefficients
-        return first + signals.contact.teeth_beyond(_displacement, coefficients), state
-
-
-def _displacement(coefficients: Floats, angle: Floats) -> Floats:
-    return harmonic_sum(coefficients, ORDERS, angle)
+        return first + signals.contact.teeth_beyond(ORDERS, coefficients), state
 
 
 EFFECT = FlexsplinePitch(
