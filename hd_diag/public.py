@@ -99,7 +99,7 @@ def transmission_error(drive: Drive, angle: npt.ArrayLike, torque: npt.ArrayLike
 
 def read(
     files: str | Path | Sequence[str | Path],
-    joint: JointConfig,
+    joint: JointConfig | str,
     columns: Mapping[str, str] | None = None,
     rate: float = 0.0,
 ) -> Record:
@@ -109,8 +109,9 @@ def read(
     ----------
     files : path or sequence of paths
         Each begins a new run.
-    joint : JointConfig
-        Of :func:`load`: it says where the joint's signals stand.
+    joint : JointConfig or str
+        Of :func:`load`: it says where the joint's signals are. A name alone is the joint's in the joint
+        states, with the motor's angle under the name with ``_motor``.
     columns : mapping, optional
         Columns by what they hold (time, input, output, torque, temperature), each with its unit in brackets
         where it is not SI: ``{"input": "motor[deg]"}``.
@@ -121,7 +122,13 @@ def read(
     ------
     BagError, RecordError
         Saying why there is nothing that can be judged.
+    TypeError
+        For all joints of a file instead of one.
     """
+    if isinstance(joint, str):
+        joint = configuration.resolve({"joints": [joint]}).joints[0]
+    if isinstance(joint, Mapping):
+        raise TypeError('read takes one joint, as load(file)["elbow"] or "elbow", not all of a file')
     paths = [files] if isinstance(files, (str, Path)) else files
     if columns is None:
         return read_bags(paths, joint)

@@ -80,6 +80,15 @@ def test_a_csv_file_is_read(folder: Path) -> None:
     np.testing.assert_allclose(record.input_angle, bag.input_angle, atol=1e-9)
 
 
+def test_a_joint_is_given_by_its_name_too_and_all_of_a_file_are_not_one(folder: Path) -> None:
+    joints = hd_diag.load(folder / "elbow.yaml")
+    named = hd_diag.read(folder / "elbow.mcap", "elbow")
+    whole = hd_diag.read(folder / "elbow.mcap", joints["elbow"])
+    np.testing.assert_array_equal(named.output_angle, whole.output_angle)
+    with pytest.raises(TypeError, match=r'one joint, as load\(file\)\["elbow"\] or "elbow", not all'):
+        hd_diag.read(folder / "elbow.mcap", joints)
+
+
 def test_importing_it_loads_nothing_and_its_names_are_typed_and_told() -> None:
     code = (
         "import sys; before = set(sys.modules); import hd_diag; dir(hd_diag); "
