@@ -47,16 +47,24 @@ def _unchanged() -> Iterator[tuple[int, int]]:
         yield int(found[1], 16), int(found[2], 16)
 
 
+def causes(error: BaseException | None) -> Iterator[BaseException]:
+    """An error, what it comes from, and so on; one that was raised again may be its own context."""
+    passed: list[BaseException] = []
+    while error is not None and error not in passed:
+        passed.append(error)
+        yield error
+        error = error.__cause__ or error.__context__
+
+
 def is_memory(error: BaseException) -> bool:
     """Whether an error, or what caused it, says that the memory or a limit of it does not suffice."""
-    while True:
-        text = str(error).lower()
-        is_refused = isinstance(error, OSError) and error.errno == errno.ENOMEM
-        if isinstance(error, MemoryError) or is_refused or any(words in text for words in _NO_ROOM):
-            return True
-        if (cause := error.__cause__ or error.__context__) is None:
-            return False
-        error = cause
+    return any(map(_is_memory, causes(error)))
+
+
+def _is_memory(error: BaseException) -> bool:
+    text = str(error).lower()
+    is_refused = isinstance(error, OSError) and error.errno == errno.ENOMEM
+    return isinstance(error, MemoryError) or is_refused or any(words in text for words in _NO_ROOM)
 
 
 def watch_limit() -> None:

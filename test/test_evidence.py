@@ -175,3 +175,18 @@ def test_what_has_no_prior_is_as_good_as_free() -> None:
     base, _ = evidence.coefficients({})
     expected = np.linalg.lstsq(columns, target)[0]
     assert_allclose(base * np.array([1e-2, 1e2]), expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_columns_that_are_alike_beside_little_noise_have_an_evidence(seed: int) -> None:
+    """Rounding of their products is more than what a prior adds to them."""
+    made = problem(seed)
+    alike = {name: made.base[:, :1] * np.linspace(1e13, 2e13, size.size) for name, size in USUAL.items()}
+    made = made._replace(base=1e13 * made.base, groups=alike, target=1e13 * made.base[:, 0])
+    widths = {name: CHOICES[name][0][0] for name in USUAL}
+    assert np.isfinite(made.evidence.log(widths))
+    base, groups = made.evidence.coefficients(widths)
+    explained = made.base @ (base * made.precision**-0.5) + sum(
+        alike[name] @ (groups[name] * USUAL[name]) for name in widths
+    )
+    assert_allclose(explained, made.target, atol=1e-5 * np.abs(made.target).max())

@@ -167,6 +167,13 @@ def test_a_lack_of_memory_is_known_in_all_its_forms(error: Exception, is_so: boo
     assert (is_memory(error), is_memory(wrapped)) == (is_so, is_so)
 
 
+def test_an_error_that_comes_from_itself_is_looked_at_once() -> None:
+    """Two that were raised again, each while the other was handled."""
+    one, other = ValueError("one"), ValueError("other")
+    one.__context__, other.__context__ = other, one
+    assert not is_memory(one)
+
+
 @pytest.mark.parametrize("ended", ["os._exit(1)", "os._exit(127)", "os.abort()"])
 def test_a_library_that_ends_a_process_for_a_lack_of_memory_is_told_in_one_line(ended: str) -> None:
     """Its own words are not shown: OpenBLAS leaves with 1 and three lines, the loader with 127."""

@@ -41,6 +41,10 @@ def simulate(
         joints = _joints(config, names, given)
         if not 0.0 <= given["start_time"] < 2.0**31:
             raise ValueError(f"--start-time must be a Unix time within 32 bits, not {given['start_time']} s")
+        if given["start_time"] + motion.duration >= 2.0**31:
+            raise ValueError(
+                f"duration must end within 32 bits of Unix time, not after {motion.duration:g} s"
+            )
         start = round(given["start_time"] * SECOND)
         with working() as part:
             mapping = part("map")

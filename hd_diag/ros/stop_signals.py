@@ -12,6 +12,8 @@ from collections.abc import Iterator
 from types import FrameType
 from typing import Any
 
+from hd_diag.memory import causes
+
 _STOPPING = (signal.SIGINT, signal.SIGTERM)
 _SOON = 0.02  # [s]
 _raised: list[tuple[threading.Event, int]] = []  # signals: who has seen one, and its number
@@ -46,13 +48,10 @@ def signalled(error: BaseException | None) -> int:
     Others make their own errors of a KeyboardInterrupt: click, numba's compiled code, imports. Some of these
     do not say what they come from: an error soon after a signal that nobody has seen is the signal's.
     """
-    passed: list[BaseException] = []
     came = next((number for seen, number in _raised if not seen.is_set()), 0)
-    while error is not None and error not in passed:  # one that was raised again may be its own context
-        if isinstance(error, KeyboardInterrupt):
-            came = getattr(error, "number", signal.SIGINT)
-        passed.append(error)
-        error = error.__cause__ or error.__context__
+    for each in causes(error):
+        if isinstance(each, KeyboardInterrupt):
+            came = getattr(each, "number", signal.SIGINT)
     for seen, _ in _raised:
         seen.set()
     return SIGNALLED + came if came else 0

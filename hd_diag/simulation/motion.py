@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hd_diag.arrays import Floats, Times
+from hd_diag.streams.columns import LARGEST_ANGLE, LARGEST_TORQUE
 
 SECOND = 1_000_000_000  # [ns]
 _TURN = 2.0 * math.pi
@@ -57,6 +58,12 @@ class Motion:
                 f"ramp_share must be positive and rest_share not negative, both together at most 0.5, not "
                 f"{self.ramp_share} and {self.rest_share}"
             )
+        if self.sample_rate > SECOND:
+            raise ValueError(f"sample_rate must be at most {SECOND:g} Hz, for stamps are in ns")
+        if self.duration * max(self.speeds) > LARGEST_ANGLE:
+            raise ValueError(f"the input turns by more than {LARGEST_ANGLE:g} rad: lower speeds or duration")
+        if max(map(abs, self.torques)) > LARGEST_TORQUE:
+            raise ValueError(f"torques must be at most {LARGEST_TORQUE:g} N m, not {list(self.torques)}")
         if self.samples < 1:
             raise ValueError(f"{self.duration} s at {self.sample_rate} Hz hold no sample")
 

@@ -14,6 +14,7 @@ from hd_diag.formatting import ARCSEC
 from hd_diag.model import torsion
 from hd_diag.model.kernel.mesh_data import blank
 from hd_diag.model.mesh import Mesh, contiguous
+from hd_diag.streams.columns import LARGEST_TORQUE
 
 _PHASES = 32  # tooth phases over which the reference stiffness is the mean
 
@@ -134,11 +135,14 @@ def reference_stiffness(drive: Drive, cup_torque: Floats) -> Floats:
 def cup_torques(drive: Drive, torque: Floats) -> Floats:
     """Torques on the cup for torques that the drive exerts on the link [N m].
 
-    Raises ValueError if one is zero or not finite: stiffness and load distribution are those under load.
+    Raises ValueError if one is zero or not finite, for stiffness and load distribution are those under load,
+    or beyond :data:`LARGEST_TORQUE`.
     """
     for value in torque:
         if value == 0.0 or not math.isfinite(value):
             raise ValueError(f"torque must be finite and not zero, not {value:g} N m")
+        if abs(value) > LARGEST_TORQUE:
+            raise ValueError(f"torque must be at most {LARGEST_TORQUE:g} N m, not {value:g}")
     return drive.frame.cup_torque(torque)
 
 

@@ -9,10 +9,11 @@ Neural Computation 4, 1992; Miller and Dunson, J. Am. Stat. Assoc. 114, 2019).
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import LinAlgError, cholesky, solve_triangular
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.evidence.calibration import TEMPER
@@ -21,6 +22,7 @@ Widths = Mapping[str, float]
 
 _WIDE = 1e-2  # prior deviation of the encoders' zeros [rad]: as good as free
 _ROUNDS = 4  # of a search for the best widths
+_ROUNDING = 1e-11  # of products of columns, relative; what is less of a column is rounding
 
 
 @dataclass(frozen=True)
@@ -192,6 +194,21 @@ class Evidence:
         matrix[np.diag_indices_from(matrix)] += 1.0
         right = scale * self.moment[at]
         right[: self.base] += self.pull
-        root = cholesky(matrix, lower=True, check_finite=False)
+        root = _root(matrix)
         solved = solve_triangular(root, right, lower=True, check_finite=False)
         return at, scale, right, solved, root
+
+
+def _root(matrix: Floats) -> Floats:
+    """Cholesky root; of columns that are alike but for rounding, that with a diagonal as much larger.
+
+    Else the products' rounding, far larger than a prior beside little noise, makes a pivot what it likes, or
+    negative (Higham, Accuracy and Stability of Numerical Algorithms, 2002, 10.3).
+    """
+    diagonal = np.diag(matrix)
+    with suppress(LinAlgError):
+        root: Floats = cholesky(matrix, lower=True, check_finite=False)
+        if np.all(np.diag(root) ** 2 > _ROUNDING * diagonal):
+            return root
+    larger: Floats = cholesky(matrix + np.diag(_ROUNDING * diagonal), lower=True, check_finite=False)
+    return larger
