@@ -20,7 +20,7 @@ from PIL import Image
 DOCS = Path(__file__).resolve().parent
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 WIDTH, HEIGHT = 1280, 900  # of the window [CSS px]
-COLOURS = 64
+COLOURS = 128
 MOTION = ["--duration", "240", "--rate", "250", "--angle-noise-arcsec", "1", "--temperature"]
 
 
