@@ -31,12 +31,13 @@ from hd_diag.cli import options
 def diagnose() -> None:
     """Find what the model gets wrong in a bag, and the physical cause.
 
-    First the model's own parameters are fitted. Then the catalogue is searched for causes. A cause is named
-    only where it also predicts the part of the record that was not used in the fit. "None of the known
-    causes" and "this record cannot distinguish these" are possible answers. Several bags are runs of the same
-    joint. Of a very long record every sample is checked for a wrong ratio, steps and outliers, and stretches
-    from all over it are fitted. If a joint's signals are wrong or too few, stderr says so, the other joints
-    are diagnosed, and the exit code is 2.
+    The first line says what to do about the joint, and how sure that is. The model's own parameters are
+    fitted first. Then the catalogue is searched for causes. A cause is named only where it also predicts the
+    part of the record that was not used in the fit. "None of the known causes" and "this record cannot
+    distinguish these" are possible answers. Several bags are runs of the same joint. Of a very long record
+    every sample is checked for a wrong ratio, steps and outliers, and stretches from all over it are fitted.
+    If a joint's signals are wrong or too few, stderr says so, the other joints are diagnosed, and the exit
+    code is 2.
     """
 
 
@@ -127,11 +128,12 @@ def fleet() -> None:
 def report() -> None:
     """Diagnose a bag and write one HTML page.
 
-    It shows the verdict, what to inspect, measured beside simulated, and the teeth. The diagnosis and its
-    JSON are those of `hd-diag diagnose`. The page is one file that needs nothing else. If a bag has no output
-    angle, or its record cannot be judged, the page says so and shows what the model predicts for the motion;
-    the JSON then has the reason as "error". Several bags are runs of the same joint. If nothing of a joint
-    can be shown, stderr says so, the other joints are shown, and the exit code is 2.
+    It begins with what to do about each joint, as a traffic light. Then come the verdict, what to inspect,
+    measured beside simulated, and the teeth. The diagnosis and its JSON are those of `hd-diag diagnose`. The
+    page is one file that needs nothing else. If a bag has no output angle, or its record cannot be judged,
+    the page says so and shows what the model predicts for the motion; the JSON then has the reason as
+    "error". Several bags are runs of the same joint. If nothing of a joint can be shown, stderr says so, the
+    other joints are shown, and the exit code is 2.
     """
 
 
