@@ -281,9 +281,11 @@ def ladder(
         return []
     rungs = _fitted(diagnosis.found)
     names = [NOMINAL, *rungs]
-    unseen = (_unseen(bench, chosen) for bench, chosen in zip(fitted, rungs.values(), strict=True))
+    data = fitted[-1].data
+    shown = usable(diagnosis.record)[data.mask]  # the residual given has no others
+    unseen = (_unseen(bench, chosen)[shown] for bench, chosen in zip(fitted, rungs.values(), strict=True))
     residuals = [nominal, *unseen]
-    block = fitted[-1].data.block
+    block = np.unique(data.block[shown], return_inverse=True)[1]
     squares, counts = np.stack([np.bincount(block, rest**2) for rest in residuals]), np.bincount(block)
     draws = rng.integers(0, counts.size, (_DRAWS, counts.size))
     drawn, total = squares[:, draws].sum(axis=2), squares.sum(axis=1)
