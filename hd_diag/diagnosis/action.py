@@ -92,7 +92,7 @@ def _of_limit(limited: Limited) -> Reason:
     value, limit = si(limited.value, limited.std, limited.unit), size(limited.limit, limited.unit)
     is_beyond = limited.place == "beyond"
     verb = "is" if is_beyond else "may be"
-    text = f"the {words(limited.quantity)} {verb} beyond its limit: {value} of {limit}"
+    text = f"the {words(limited.quantity)} {verb} beyond its limit: {value}, allowed {limit}"
     return Reason("inspect" if is_beyond else "watch", text, _beyond(limited))
 
 
