@@ -150,13 +150,16 @@ class Set:
     def foretells(self, name: str) -> bool:
         """Whether a cause holds in blocks of the record that others foretell: evidence believes the model.
 
-        What wanders cannot be foretold.
+        What remainders and parameters would have to grow for it counts in all blocks alike. What wanders
+        cannot be foretold.
         """
         item = next(one for one in self.causes if one[0].name == name)
         if item[0].wanders(item[1]):
             return True
         place = self.fit.places(self.chosen)[self.chosen.index(item)]
-        gain, predicted = self.fit.design(self.chosen).held_out_gain(place)
+        design = self.fit.design(self.chosen)
+        more = design.prior_gain(place) / design.square.size
+        gain, predicted = (one + more for one in design.held_out_gain(place))
         worth = 0.5 * calibration.TEMPER * min(float(gain.sum()), float(predicted.sum()))
         return worth > -presence(self.fit, item[0]) and holds(gain, predicted)
 

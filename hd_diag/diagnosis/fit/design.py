@@ -129,6 +129,15 @@ class Design:
             predicted[block] = change @ g @ change
         return gain, predicted
 
+    def prior_gain(self, dropped: slice) -> float:
+        """How much farther others have to go from their prior without some columns, as a sum of squares."""
+        gram, moment = self.whole
+        rest = np.delete(np.arange(moment.size), np.r_[dropped])
+        whole, fewer = solve(gram, moment), np.zeros(moment.size)
+        fewer[rest] = solve(gram[np.ix_(rest, rest)], moment[rest])
+        away, there = ((one - self.pull)[rest] for one in (fewer, whole))
+        return float(self.precision[rest] @ (away**2 - there**2))
+
     def blocks(self) -> Iterator[tuple[Floats, Floats, Floats, Floats]]:
         """Normal equations of every block and of all others.
 
