@@ -195,7 +195,8 @@ ALIKE = found(cause("output_runout", alike=("output_encoder_eccentricity",)))
         (
             {"allowed": Allowed(17.9e-6, "overlap")},
             *("watch", "amber"),
-            r"Watch: the eccentricity may be beyond its limit: 18.2 ± 0.3 µm, allowed 17.9 µm \(84 % likely\).",
+            r"Watch: the eccentricity may be beyond its limit: 18.2 ± 0.3 µm, allowed 17.9 µm"
+            r" \(84 % likely\).",
         ),
         (
             {"allowed": Allowed(10e-6, "overlap"), "found": HINT},  # what is beyond doubt is said alone
