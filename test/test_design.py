@@ -147,6 +147,24 @@ def test_a_column_of_one_block_says_nothing_of_it() -> None:
     assert_allclose([gain[3], predicted[3]], 0.0, atol=1e-12)
 
 
+def test_without_a_column_others_go_farther_from_their_prior() -> None:
+    """A column like it, held near zero by its prior, grows: by ridge regressions with and without."""
+    x, y, block = problem()
+    x[:, 1] = x[:, 0] + 0.1 * x[:, 1]
+    y = y + 2.0 * x[:, 0]
+    precision = np.array([0.0, 400.0, 0.0, 1.0, 1.0])
+    pull = np.array([0.0, 0.1, 0.0, 0.0, -0.2])
+
+    def penalty(columns: list[int]) -> float:
+        own, weight, centre = x[:, columns], precision[columns], pull[columns]
+        beta = np.linalg.solve(own.T @ own + np.diag(weight), own.T @ y + weight * centre)
+        return float(weight @ (beta - centre) ** 2)
+
+    expected = penalty([1, 2, 3, 4]) - penalty([0, 1, 2, 3, 4])
+    assert expected > 100.0
+    assert design(x, y, block, precision, pull).prior_gain(slice(0, 1)) == pytest.approx(expected)
+
+
 def noise_gain(seed: int, blocks: int = 24, size: float = 0.0, rows: slice = slice(None)) -> bool:
     """Whether a wave held by noise alone, or present in some blocks with a size, is taken as proved."""
     rng = np.random.default_rng(seed)

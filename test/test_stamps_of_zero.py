@@ -54,7 +54,7 @@ def test_stamps_of_zero_are_the_time_of_reception_and_that_is_said(tmp_path: Pat
     assert_allclose(record.time, (LOG - START) * 1e-9, atol=1e-12)
     assert_allclose(record.input_angle, ANGLE, atol=1e-9)
     result = hd_diag("diagnose", path, "--orders-only", "--json", tmp_path / "d.json")
-    assert f"the stamps of {COUNT} messages are zero" in result.stdout
+    assert f"The stamps of {COUNT} messages are zero" in result.stdout
     assert json.loads((tmp_path / "d.json").read_text())["record"]["stamps_zero"] == COUNT
     assert "time of reception" in hd_diag("topics", path).stdout
 

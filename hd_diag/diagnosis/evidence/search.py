@@ -26,6 +26,7 @@ from hd_diag.effects.remainders import ORDERS, PLACE
 _MOST, _TURNS = 5, 12  # causes; turns of a search
 _RIVALS = 6  # of each cause, that are settled in its place
 _TRIED = 4  # candidates that are settled in each turn
+_AGAIN = 2  # times that some are: the next best where none of the best is foretold
 _NEAR = 0.5  # share of the best candidate's gain from which another is tried
 _OF_MODEL = ("torsional_hardening",)  # the torsion's own shape
 _ZERO, _TURNED = "torque_offset", 0.01  # share of the torques that another zero must put on the other flank
@@ -361,7 +362,9 @@ def _at_minima(found: Set, others: list[Set], rng: np.random.Generator) -> list[
 def _next(now: Set) -> Set | None:
     """The set with one cause more, settled; None where none brings more than it costs, and foretells it."""
     ranked = [one for one in candidates(now) if one.gain > 0.0]
-    while ranked:
+    for _ in range(_AGAIN):
+        if not ranked:
+            break
         best = ranked[0].gain
         near = [one for one in ranked[:_TRIED] if one.gain > min(_NEAR * best, best - _CLOSE)]
         if (found := _best_of(near, now)) is not None:
