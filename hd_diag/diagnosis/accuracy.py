@@ -12,7 +12,6 @@ import numpy.typing as npt
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.fit.design import inverse
-from hd_diag.diagnosis.noise import numbered
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.regression import centered, usual_laws
 from hd_diag.effects.quantity import turning
@@ -41,7 +40,7 @@ _WITHOUT_ONE = 1.0 - np.eye(_STRETCHES)
 _HALF = list(combinations(range(_STRETCHES), _STRETCHES // 2))[::9]
 _HALVES = [_WITHOUT_ONE[list(some)].min(axis=0) for some in _HALF]
 _KNOTS = 10  # of the torsion's shape, at quantiles of the torque
-_REACHES = (0.03, 0.1, 0.3)  # of the rated torque, over which friction within the gear sticks
+_REACHES = (0.03, 0.1, 0.3)  # of the rated torque, over which friction sticks, as in a hysteresis
 _PLACES = 72  # of an output turn
 _EIGHT = 8.0  # square of a wave from peak to peak, over its mean square
 
@@ -78,10 +77,11 @@ def accuracy(
     -----
     The greatest of many noisy values is too large. So waves are fitted: low orders of the input's turn, which
     may change with the torque, of the member that turns and of the output, and those that were found; beside
-    torsion, friction and an offset of every run. Their sum at the record's angles is the error's shape, and
-    differs from torque to torque: the median over the `_LEVELS` of its torques counts. Its mean square is
-    less what noise adds to it. What the waves leave beyond the noise counts as one more wave beside them. The
-    deviation is by half samples of `_STRETCHES` stretches.
+    torsion of any shape with its loop, friction and an offset of every run. Their sum at the record's angles
+    is the error's shape, and differs from torque to torque: the median over the `_LEVELS` of its torques
+    counts. Its mean square is less what noise adds to it. What the waves leave within turns of the input,
+    beyond the noise, counts as one more wave beside them. The deviation is by half samples of `_STRETCHES`
+    stretches.
     """
     some = record.thinned(_MOST_ROWS)
     laws = np.stack([centered(law, some.run) for law in _slow_laws(some, rated_torque)], axis=1)
@@ -95,7 +95,8 @@ def accuracy(
     shapes = [_waves(shown, np.full(shown.size, level), *given)[:, kept] for level in levels]
     fit = _Fit(waves[:, kept], own, rest, shapes, noise[0])
     shape, std = fit.peak_to_peak()
-    left = _within_turns(rest - own @ fit.coefficients(_EVERY), some)
+    # What is slower than a turn of the input is torsion, or drifts.
+    left = centered(rest - own @ fit.coefficients(_EVERY), some.turn)
     beyond = max(float(np.mean(left**2)) * fit.freedom - noise[0], 0.0)
     scatter = float(np.std([np.mean(part**2) for part in np.array_split(left, _STRETCHES)], ddof=1))
     square = shape**2 / _EIGHT + beyond
@@ -112,12 +113,6 @@ def _slow_laws(record: Record, rated_torque: float) -> list[Floats]:
     change = np.where(np.diff(record.run, prepend=record.run[0]), 0.0, np.diff(load, prepend=load[0]))
     loops = (slip(0.0, change / reach) for reach in _REACHES)
     return [*usual_laws(record, rated_torque), *np.maximum(load - knots[:, None], 0.0), *loops]
-
-
-def _within_turns(values: Floats, record: Record) -> Floats:
-    """Values (n,) less their means over turns of the input: what is slower is torsion, or drifts."""
-    turn = np.floor(record.input_angle / (2.0 * np.pi))
-    return centered(values, numbered((np.diff(turn) != 0) | (np.diff(record.run) != 0)))
 
 
 def _covered(record: Record) -> float:

@@ -23,6 +23,7 @@ from hd_diag.diagnosis.fit.design import interval, projection
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.noise import ORDER, Whitening, numbered, slices
 from hd_diag.diagnosis.record import Record, RecordError
+from hd_diag.diagnosis.regression import centered
 from hd_diag.diagnosis.stamps import usual_step
 from hd_diag.drive import Drive
 from hd_diag.effects.remainders import TIME
@@ -259,14 +260,13 @@ def _bands(left: Floats, rows: Record, noise: Whitening, rng: np.random.Generato
 
     The gear's lines are within a turn. The noise has the colour that was measured, along the same rows.
     """
-    turn = np.floor(rows.input_angle / (2.0 * np.pi))
-    cell = numbered((np.diff(turn) != 0) | (np.diff(rows.run) != 0))
-    count = np.bincount(cell)
+    turn = rows.turn
     alike = lfilter([noise.scale], np.append(1.0, -noise.coefficients), rng.standard_normal(left.size))
 
     def parts(values: Floats) -> tuple[float, float]:
-        means = (np.bincount(cell, values) / count)[cell]
-        return _rms(means - means.mean()), _rms(values - means)
+        within = centered(values, turn)
+        means = values - within
+        return _rms(means - means.mean()), _rms(within)
 
     slow, gear = (a / max(b, 1e-300) for a, b in zip(parts(left), parts(alike), strict=True))
     return slow, gear

@@ -131,6 +131,12 @@ class Record:
         return replace(self, torque=self.by_sensor + taken, taken=taken)
 
     @property
+    def turn(self) -> Integers:
+        """Number of the input's turn, from zero, a new one where a run begins; shape (n,)."""
+        turn = np.floor(self.input_angle / (2.0 * np.pi))
+        return numbered((np.diff(turn) != 0) | (np.diff(self.run) != 0))
+
+    @property
     def by_sensor(self) -> Floats:
         """Torque as reported, smoothed [N m], shape (n,)."""
         return self.torque if self.taken is None else self.torque - self.taken

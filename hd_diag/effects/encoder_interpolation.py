@@ -69,7 +69,7 @@ class EncoderInterpolation(Harmonic):
         """Whether circles are divided by numbers, shape (n,)."""
         divided = number % self.multiple == 0
         if self.multiple > 1:
-            divided &= _ROUND % np.maximum(number, 1) == 0
+            divided &= is_round(number)
         return np.asarray(divided, np.bool_)
 
     def testable(self, signals: Signals) -> Verdict:
@@ -91,6 +91,11 @@ class EncoderInterpolation(Harmonic):
     def _gear(self, signals: Signals) -> float:
         """Speed of the input over that of the angle [-]."""
         return 1.0 if self.angle == "input_angle" else abs(signals.ratio)
+
+
+def is_round(number: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
+    """Whether numbers (n,) have no other prime factors than 2, 3 and 5, by which circles are divided."""
+    return np.asarray(_ROUND % np.maximum(number, 1) == 0)
 
 
 def line_quantities(usual: float, least: int, most: int, at: str) -> tuple[Quantity, ...]:

@@ -360,7 +360,7 @@ def _at_minima(found: Set, others: list[Set], rng: np.random.Generator) -> list[
 
 
 def _next(now: Set) -> Set | None:
-    """The set with one cause more, settled; None where none brings more than it costs, and foretells it."""
+    """The set with one cause more, settled; None where none is worth its cost and foretold."""
     ranked = [one for one in candidates(now) if one.gain > 0.0]
     for _ in range(_AGAIN):
         if not ranked:

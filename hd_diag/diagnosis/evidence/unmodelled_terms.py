@@ -11,10 +11,12 @@ import numpy as np
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.noise import bounds, spans
 from hd_diag.effects.effect import Effect, Kind, Stage, Starts, Values
+from hd_diag.effects.encoder_interpolation import is_round
 from hd_diag.effects.excitation import output_turns
 from hd_diag.effects.order_spectrum import integer_orders
 from hd_diag.effects.output_encoder_interpolation import EFFECT as OUTPUT_ENCODER_LINES
 from hd_diag.effects.quantity import Quantity, amplitude, direction, turning
+from hd_diag.effects.remainders import LINES
 from hd_diag.effects.signals import Signals
 from hd_diag.formatting import ARCSEC
 
@@ -25,9 +27,10 @@ _CELLS = 240  # per turn of the output
 _WIDTHS = (0.06, 0.15)  # of a bump there [rad]
 _PERIODS = 4.0  # of a line within the output's way
 _LOWEST, _HIGHEST = 8, 1.9  # line per output turn; per input turn
-_ORDERS = np.array(  # of the input, that no gear must have; by others encoders divide a circle
-    [3, 5, 6, 7, 11, 13, 14, 17, 19, 21, 22, 23, 26, 28, 29, 31, 33, 34, 35, 37, 38, 39]
-)
+_FEWEST = 8  # lines of an input's encoder, as are usual
+_EVERY = np.arange(3, 41)
+# Of the input, that no gear must have and no encoder has.
+_ORDERS = _EVERY[~np.isin(_EVERY, LINES) & ((_EVERY < _FEWEST) | ~is_round(_EVERY))]
 _PEAKS = 3  # of a spectrum that are looked at, with their neighbours
 
 
