@@ -9,17 +9,17 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from hd_diag.watch import JointView
-from hd_diag.watch.numbers import heading, row
 
-_NUMBERS = (
-    "eccentricity_um",
-    "minimum_backlash_um",
-    "lost_motion_arcmin",
-    "predicted_te_pp_arcsec",
-    "loaded_pairs",
-    "peak_tooth_load_N",
-    "residual_rms_arcsec",
-    "sample_rate_hz",
+# Key, heading of three lines, decimals of a column.
+_COLUMNS = (
+    ("eccentricity_um", ("eccen-", "tricity", "µm"), 1),
+    ("minimum_backlash_um", ("least", "backlash", "µm"), 1),
+    ("lost_motion_arcmin", ("lost", "motion", "arcmin"), 2),
+    ("loaded_pairs", ("loaded", "pairs", ""), 0),
+    ("peak_tooth_load_N", ("peak", "load", "N"), 1),
+    ("predicted_te_pp_arcsec", ("predicted", "error", "arcsec"), 1),
+    ("residual_rms_arcsec", ("residual", "rms", "arcsec"), 2),
+    ("sample_rate_hz", ("rate", "", "Hz"), 0),
 )
 _EXTREMES = {"minimum_backlash_um": min, "peak_tooth_load_N": max}
 
@@ -61,11 +61,17 @@ class Step:
 
     def summary(self) -> dict[str, Any]:
         """Values by diagnostics key, nan or None where there is none."""
-        numbers = {key: self.number(key) for key in _NUMBERS} | {"eccentricity_um": self.eccentricity}
+        numbers = {key: self.number(key) for key, _, _ in _COLUMNS} | {"eccentricity_um": self.eccentricity}
         return numbers | {key: self.text(key) for key in ("log_state", "fault_code")}
 
 
 def table(steps: Sequence[Step]) -> list[str]:
     """Heading of three lines, then a line for each step that has reports."""
-    lines = [f"{row(step.number)}  {step.text('fault_code')}" for step in steps if step.reports]
-    return [*(line + label for line, label in zip(heading(), ("", "", "  fault"), strict=True)), *lines]
+    above = ["".join(f"{lines[i]:>10}" for _, lines, _ in _COLUMNS) for i in range(3)]
+    return [*above[:2], f"{above[2]}  fault", *(_row(step) for step in steps if step.reports)]
+
+
+def _row(step: Step) -> str:
+    values = ((step.number(key), places) for key, _, places in _COLUMNS)
+    cells = (f"{value:.{places}f}" if math.isfinite(value) else "-" for value, places in values)
+    return "".join(f"{cell:>10}" for cell in cells) + f"  {step.text('fault_code')}"

@@ -15,15 +15,15 @@ from hd_diag.cli.options import needing_ros
 from hd_diag.cli.targets import Problem, write_json
 from hd_diag.ros.stop_signals import SIGNALLED, noted_signals
 from hd_diag.watch import Watch, as_json
-from hd_diag.watch.display import PLAIN_PERIOD, Display
+from hd_diag.watch.display import PERIOD, Display
 from hd_diag.watch.keys import pressed_keys
 
 if TYPE_CHECKING:
     from hd_diag.watch.listener import Listener
 
-_DIAGNOSE = "d"  # key that asks the nodes for a diagnosis
+_DIAGNOSE, _QUIT = "d", "q"  # keys: ask the nodes for a diagnosis, end
 _STEP = 0.2  # longest sleep between looks at signals [s]
-# Between the first report and a look at who else is there [s]: DDS may take 2.7 s to discover a second node.
+# Wait for more nodes after the first report [s]: DDS may take 2.7 s to discover a second one.
 _SETTLE = 3.0
 _SETTLE_JOINTS = 0.5  # where it is known what is waited for
 
@@ -59,7 +59,7 @@ def watch(
 
 
 def _wait_for_all(state: Watch, listener: Listener, came: Sequence[int], timeout: float) -> None:
-    """Wait until all is reported that the graph shows, which takes its time to show all."""
+    """Wait until all that was asked for is reported, and others had the time to be discovered."""
     end, settled = time.monotonic() + timeout, math.inf
     settle = _SETTLE_JOINTS if state.joints else _SETTLE
     while not came and (remaining := end - time.monotonic()) > 0.0:
@@ -67,10 +67,8 @@ def _wait_for_all(state: Watch, listener: Listener, came: Sequence[int], timeout
         now = time.monotonic()
         if math.isinf(settled) and state.view(now):
             settled = now + settle
-        if now >= settled:
-            listener.look()
-            if not state.missing():
-                return
+        if now >= settled and not state.missing():
+            return
 
 
 def _show_once(state: Watch, timeout: float, json_file: str | None) -> bool:
@@ -81,8 +79,8 @@ def _show_once(state: Watch, timeout: float, json_file: str | None) -> bool:
         with Display() as display:
             display.show(state, now, is_last=True)
     if not views or (state.joints and state.missing()):
-        of = ", ".join(state.missing() or state.joints) or "an hd_diag node"
-        raise Problem(f"no report of {of} within {timeout:g} s: {'; '.join(state.explanation())}")
+        of = ", ".join(state.missing()) or "an hd_diag node"
+        raise Problem(f"no report of {of} within {timeout:g} s: {state.explanation()}")
     return _is_faulty(state, now)
 
 
@@ -99,14 +97,15 @@ def _follow(
         pressed = stack.enter_context(pressed_keys())
         while not came:
             listener.wait(_STEP)
-            if _DIAGNOSE in pressed():
+            if _DIAGNOSE in (keys := pressed()):
                 listener.diagnose()
             now = time.monotonic()
-            is_last = fail_on_fault and _is_faulty(state, now)
+            is_faulty = fail_on_fault and _is_faulty(state, now)
+            is_last = is_faulty or _QUIT in keys
             for show in shows:
                 show(state, now, is_last)
             if is_last:
-                return True
+                return is_faulty
     return False
 
 
@@ -117,7 +116,7 @@ def _json_lines(file: IO[str]) -> Callable[[Watch, float, bool], None]:
     def write(state: Watch, now: float, is_last: bool) -> None:
         nonlocal written, due
         if state.messages > written and (now >= due or is_last):
-            written, due = state.messages, now + PLAIN_PERIOD
+            written, due = state.messages, now + PERIOD
             file.write(json.dumps(as_json(state, now), allow_nan=False) + "\n")
             file.flush()
 

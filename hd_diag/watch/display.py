@@ -2,29 +2,39 @@
 
 from __future__ import annotations
 
+import io
 import math
 import sys
-from collections.abc import Sequence
 from typing import TextIO
 
-from rich.console import Console, ConsoleOptions, Group, OverflowMethod, RenderResult
-from rich.constrain import Constrain
+from rich.console import Console, Group
 from rich.live import Live
+from rich.table import Column, Table
 from rich.text import Text
 
-from hd_diag.watch.numbers import NUMBERS_WIDTH, heading, row, sentence, shown_number, shown_text, spark
-from hd_diag.watch.state import DEFAULT_TOPIC, JointView, Watch
+from hd_diag.formatting import visible
+from hd_diag.watch.state import JointView, Watch
 
-REFRESH_PERIOD = 0.25
-"""Shortest time between two pictures in a terminal [s]."""
-PLAIN_PERIOD = 1.0
-"""Shortest time between two plain lines of a joint [s]."""
+PERIOD = 1.0
+"""Between plain lines of a joint without another fault [s]."""
 
-_WIDEST = 120  # of the table [columns]
-_LONGEST_CURVE, _SHORTEST_CURVE, _LEAST_NAME, _NAMES_SHOWN = 40, 8, 8, 40  # [characters]
+_REFRESH = 0.25  # shortest time between two pictures in a terminal [s]
+_NARROW, _LONGEST = 80, 500  # least width of the table, longest text [characters]
+_LARGE = 1e5  # written with an exponent from here on
 _STYLES, _GREY = ("green", "yellow", "bold red", "magenta"), "bright_black"
-_MOST_STATEMENTS = 4  # of a message, a line each
-_LINES_ABOUT = 6  # title, heading, remark and the terminal's own last line
+
+# Key in the diagnostics, name, unit, decimals, heading.
+_NUMBERS = (
+    ("eccentricity_um", "configured eccentricity", "µm", 1, "ecc. µm"),
+    ("eccentricity_direction_deg", "direction", "deg", 0, "at deg"),
+    ("minimum_backlash_um", "least backlash", "µm", 1, "least backl. µm"),
+    ("lost_motion_arcmin", "lost motion", "arcmin", 2, "lost motion arcmin"),
+    ("loaded_pairs", "loaded tooth pairs", "", 0, "loaded pairs"),
+    ("peak_tooth_load_N", "largest load", "N", 1, "peak load N"),
+    ("predicted_te_pp_arcsec", "predicted error peak to peak", "arcsec", 1, "pred. error arcsec"),
+    ("residual_rms_arcsec", "residual rms", "arcsec", 2, "resid. rms arcsec"),
+    ("sample_rate_hz", "rate", "Hz", 0, "rate Hz"),
+)
 
 
 class Display:
@@ -32,12 +42,13 @@ class Display:
 
     def __init__(self, stream: TextIO | None = None) -> None:
         self._stream = stream or sys.stdout
+        if isinstance(self._stream, io.TextIOWrapper):
+            self._stream.reconfigure(errors="backslashreplace")
         self._console = Console(file=self._stream, highlight=False)
         is_live = self._stream.isatty() and not self._console.is_dumb_terminal
         self._live = Live(console=self._console, auto_refresh=False) if is_live else None
-        self._next = -math.inf
-        self._shown: dict[tuple[str, str, str], tuple[float, str, bool]] = {}
-        self._waiting: list[str] = []
+        self._next = self._due = -math.inf
+        self._messages, self._faults = 0, [("", True)]
 
     def __enter__(self) -> Display:
         if self._live is not None:
@@ -52,189 +63,98 @@ class Display:
         """Show the present state if it is time to. The last table has all joints and stays there."""
         if now < self._next and not is_last:
             return
-        self._next = now + REFRESH_PERIOD
+        self._next = now + _REFRESH
         if self._live is not None:
-            table = JointTable(watch, now, math.inf if is_last else self._console.height)
-            self._live.update(table, refresh=True)
+            self._live.update(picture(watch, now, self._console, is_last), refresh=True)
             return
         views = watch.view(now)
-        if not views and (lines := _waiting(watch)) != self._waiting:
-            self._waiting = lines
-            self._write(lines)
-        self._write([plain_line(view) for view in views if self._is_news(view, now - view.age)])
-
-    def _write(self, lines: Sequence[str]) -> None:
-        """Write lines without rich, which would end the program when the reader of a pipe has gone."""
-        self._stream.writelines(_encodable(line, self._console.encoding) + "\n" for line in lines)
-        self._stream.flush()
-
-    def _is_news(self, view: JointView, arrived: float) -> bool:
-        """Whether a report has another fault than the last one shown, or came long after it."""
-        key, state = (view.topic, view.status.hardware_id, view.name), (view.code, view.is_silent)
-        before, *last = self._shown.get(key, (-math.inf, "", False))
-        is_news = arrived >= before + PLAIN_PERIOD or state != tuple(last)
-        if is_news:
-            self._shown[key] = arrived, *state
-        return is_news
+        faults = [(view.code, view.is_silent) for view in views]
+        if faults != self._faults or (now >= self._due and watch.messages > self._messages):
+            self._faults, self._due, self._messages = faults, now + PERIOD, watch.messages
+            lines = map(plain_line, views) if views else [_awaited(watch)]
+            self._stream.writelines(f"{line}\n" for line in lines)  # rich exits where its reader has gone
+            self._stream.flush()
 
 
-class JointTable:
-    """All joints as rich renders them: a line of numbers and some of words each.
+def picture(watch: Watch, now: float, console: Console, is_whole: bool = False) -> Group:
+    """The table of all joints, the worst first, or of those that the terminal has room for."""
+    views = sorted(watch.view(now), key=lambda view: -view.level)
+    room, shown = sys.maxsize if is_whole else console.height - 1, len(views)
+    shown = min(shown, max(1, room // 2))  # a joint has two lines at least
+    while True:
+        group = _group(watch, views[:shown], len(views) - shown, console.width)
+        if shown <= 1 or len(console.render_lines(group)) <= room:
+            return group
+        shown -= 1
 
-    Narrow terminals show the numbers in words. Where not all joints fit the height [lines], the worst are
-    shown.
-    """
 
-    def __init__(self, watch: Watch, now: float, height: float = math.inf) -> None:
-        self._watch, self._views, self._height = watch, watch.view(now), height
+def _group(watch: Watch, views: list[JointView], hidden: int, width: int) -> Group:
+    """Numbers of joints, then what is said of each, then remarks."""
+    remarks = [f"{node} {answer}" for node, answer in sorted(watch.answers.items())]
+    remarks += [f"not reported: {', '.join(missing)}"] if (missing := watch.missing()) else []
+    remarks += [f"{hidden} more joints have no room here: --joint chooses"] if hidden else []
+    title = Text.assemble(("hd-diag watch", "bold"), "  d: diagnose, q: quit")
+    words = [Text(plain_line(view, is_whole=width < _NARROW), _style(view)) for view in views]
+    below = [
+        Text(visible(remark, _LONGEST), "yellow") for remark in (remarks if views else [_awaited(watch)])
+    ]
+    return Group(title, *([_table(views)] if views and width >= _NARROW else []), *words, *below)
 
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        self._console, self._width, self._is_ascii = (
-            console,
-            min(options.max_width, _WIDEST),
-            options.ascii_only,
-        )
-        self._name_width = max(_LEAST_NAME, self._width - NUMBERS_WIDTH)
-        self._is_narrow = self._width < NUMBERS_WIDTH + _LEAST_NAME
-        self._overflow: OverflowMethod = "crop" if self._is_ascii else "ellipsis"
-        lines = self._lines() if self._views else [Text(line) for line in _waiting(self._watch)]
-        for line in lines:
-            line.plain = _encodable(line.plain, options.encoding)
-            line.no_wrap, line.overflow = True, self._overflow
-        yield Constrain(Group(*lines), self._width)
 
-    def _lines(self) -> list[Text]:
-        names = [view.name for view in self._views]
-        blocks = [self._joint(view, names.count(view.name) > 1) for view in self._views]
-        kept = self._fitting(blocks)
-        labels = (label.ljust(self._name_width) for label in ("", "", "joint"))
-        above = [Text(label + line, _GREY) for label, line in zip(labels, heading(), strict=True)]
-        shown = [line for index in kept for line in blocks[index]]
-        remarks = self._wrapped(self._remarks(len(blocks) - len(kept)))
-        return [*self._wrapped([self._title()]), *([] if self._is_narrow else above), *shown, *remarks]
-
-    def _wrapped(self, lines: Sequence[Text]) -> list[Text]:
-        return [part for line in lines for part in line.wrap(self._console, self._width)]
-
-    def _fitting(self, blocks: Sequence[Sequence[Text]]) -> list[int]:
-        """Indices of the joints shown: the worst that fit, at least one."""
-        room, kept = self._height - _LINES_ABOUT, list[int]()
-        for index in sorted(range(len(blocks)), key=lambda i: -self._views[i].level):
-            room -= len(blocks[index])
-            if room < 0 and kept:
-                break
-            kept.append(index)
-        return sorted(kept)
-
-    def _title(self) -> Text:
-        nodes = sorted({name for view in self._views for name in view.nodes})
-        faulty = sum(view.level != 0 or view.is_silent for view in self._views)
-        title = Text().append(f"hd-diag watch {shown_text(', '.join(nodes))[:_NAMES_SHOWN]}", "bold")
-        title.append(f"  {len(self._views)} joint{'s' * (len(self._views) != 1)}, ")
-        return title.append(f"{faulty} with a fault" if faulty else "no fault", _STYLES[2 if faulty else 0])
-
-    def _joint(self, view: JointView, is_shared: bool) -> list[Text]:
-        """Numbers, what is wrong, bookkeeping with the curve, the last verdict.
-
-        The node stands first in the bookkeeping where the joint's name is shared.
-        """
-        if self._is_narrow:
-            return self._wrapped([Text(plain_line(view), _style(view))])
-        line = Text().append(shown_text(_shown_name(view)), "bold")
-        line.truncate(self._name_width, overflow=self._overflow, pad=True)
-        line.append(row(view.number), _GREY if view.is_stale else "")
-        if view.is_silent:
-            line.stylize(_GREY)
-        first, *rest = view.status.message.split("; ", _MOST_STATEMENTS - 1)
-        words = [Text("  ").append(shown_text(t), _style(view)) for t in (_verdict(view, first), *rest)]
-        details = ", ".join(map(shown_text, [_node(view)] * is_shared + _order(view) + _bookkeeping(view)))
-        words.append(Text("  ").append(details, _GREY))
-        if not (view.level or view.is_silent):
-            words = [words[0].append(words[-1])]
-        if (room := min(_LONGEST_CURVE, self._width - words[-1].cell_len - 2)) >= _SHORTEST_CURVE:
-            curve = spark(view.residuals, room, self._is_ascii)
-            words[-1].append("  ").append(curve, _GREY if view.is_stale else "cyan")
-        words += [Text("  ").append(shown_text(text)) for text in _diagnosed(view)]
-        return [line, *self._wrapped(words)]
-
-    def _remarks(self, hidden: int) -> list[Text]:
-        found = [f"{hidden} more joints have no room here: --joint chooses"] * (hidden > 0)
-        found += [f"{node} {answer}" for node, answer in sorted(self._watch.answers.items())]
-        if missing := self._watch.missing():
-            found.append(f"not reported: {', '.join(missing)}")
-        if shared := sorted({view.name for view in self._views if len(view.nodes) > 1}):
-            found.append(f"several nodes report {', '.join(shared)} on one topic and cannot be distinguished")
-        return [Text(shown_text(remark), "yellow") for remark in found]
+def _table(views: list[JointView]) -> Table:
+    table = Table(
+        Column("joint", overflow="fold"), Column("fault", overflow="fold"), box=None, pad_edge=False
+    )
+    for *_, heading in _NUMBERS:
+        table.add_column(heading.replace(" ", "\n"), justify="right", no_wrap=True)
+    for view in views:
+        numbers = (_number(view.number(key), places) for key, _, _, places, _ in _NUMBERS)
+        joint, code = (Text(visible(text, _LONGEST), _style(view)) for text in (view.joint, view.code))
+        table.add_row(joint, code, *numbers, style=_GREY if view.is_stale else "")
+    return table
 
 
 def _style(view: JointView) -> str:
     return _GREY if view.is_silent else _STYLES[min(view.level, len(_STYLES) - 1)]
 
 
-def _encodable(text: str, encoding: str) -> str:
-    """A text as a terminal of an encoding can show it."""
-    known = text if "µ".encode(encoding, "ignore") else text.replace("µ", "u")
-    return known.encode(encoding, "backslashreplace").decode(encoding)
+def plain_line(view: JointView, is_whole: bool = True) -> str:
+    """What is known of a joint in one line without control characters, whole with its numbers.
 
-
-def _waiting(watch: Watch) -> list[str]:
-    """Topic and joints that are awaited, and what was seen instead."""
-    what = f" of {', '.join(watch.joints)}" if watch.joints else ""
-    topics = ", ".join(sorted({node.topic for node in watch.wanted_nodes()})) or DEFAULT_TOPIC
-    lines = [f"waiting for {topics}{what} ...", *(f"  {found}" for found in watch.explanation())]
-    return [shown_text(line) for line in lines]
-
-
-def plain_line(view: JointView) -> str:
-    """A joint in one line without control characters, for a pipe."""
-    parts = (
-        _verdict(view, view.status.message),
-        *_order(view),
-        sentence(view.number),
-        *_bookkeeping(view),
-        *_diagnosed(view),
-    )
-    return f"{shown_text(f'{_node(view)} {view.name}')}: {'; '.join(map(shown_text, parts))}"
-
-
-def _verdict(view: JointView, said: str) -> str:
-    """Fault code, message, the other codes, and whether reports have stopped."""
+    Its node, fault, the order that repeats where nothing is wrong, bookkeeping, diagnosis and last verdict.
+    """
     silent = f"no report for {view.age:.0f} s; the last: " if view.is_silent else ""
-    message = f" {said}" if said not in ("", view.code) else ""
-    others = [code for code in view.text("fault_codes").split() if code != view.code]
-    also = f" (also {' '.join(others)})" if others else ""
-    return f"{silent}{view.code}{message}{also}"
+    message = f" {view.message}" if view.message not in ("", view.code) else ""
+    also = " ".join(code for code in view.text("fault_codes").split() if code != view.code)
+    parts = [f"{silent}{view.code}{message}{f' (also {also})' if also else ''}"]
+    if view.level == 0 and view.text("residual_order_repeats") == "true":
+        size, limit = (view.number(f"residual_order_{key}_arcsec") for key in ("amplitude", "limit"))
+        parts.append(
+            f"residual repeats with {view.text('residual_order')}: {size:.1f} of {limit:.1f} arcsec allowed"
+        )
+    if is_whole:
+        parts += [
+            f"{name} {_number(view.number(key), places)} {unit}" for key, name, unit, places, _ in _NUMBERS
+        ]
+    parts.append(f"{view.text('samples', '-')} samples")
+    parts.append(f"latency {_number(view.number('latency_p99_us'), 0)} µs")
+    parts.append(f"log {view.text('log_state', '-')}")
+    if (state := view.text("diagnosis_state", "none")) != "none" and not state.startswith("done"):
+        parts.append(f"diagnosis {state}")
+    if verdict := view.text("verdict"):
+        parts.append(f"verdict of {view.text('verdict_time', '-')}: {verdict}")
+    told = "; ".join(visible(part.strip(), _LONGEST) for part in parts)
+    return f"{visible(f'{view.node} {view.joint}', _LONGEST)}: {told}"
 
 
-def _order(view: JointView) -> list[str]:
-    """The order that repeats in the residual of a joint without a fault."""
-    if view.level or view.text("residual_order_repeats") != "true":
-        return []
-    values = (view.number(f"residual_order_{key}_arcsec") for key in ("amplitude", "limit"))
-    size, limit = (shown_number(value, 1) for value in values)
-    frame, _, number = view.text("residual_order").partition(" ")
-    return [f"residual repeats {number}x per {frame} turn: {size} of {limit} arcsec allowed"]
+def _awaited(watch: Watch) -> str:
+    """What is waited for, and what was seen instead."""
+    of = f" of {', '.join(watch.joints)}" if watch.joints else ""
+    return visible(f"waiting for diagnostics{of} ...; {watch.explanation()}", _LONGEST)
 
 
-def _bookkeeping(view: JointView) -> list[str]:
-    samples, latency = (shown_number(view.number(key), 0) for key in ("samples", "latency_p99_us"))
-    return [f"{samples} samples", f"latency {latency} µs", f"log {view.text('log_state', '-')}"]
-
-
-def _diagnosed(view: JointView) -> list[str]:
-    """What a diagnosis does, and what the last one has found of the joint."""
-    state, found = view.text("diagnosis_state", "none"), view.text("verdict")
-    is_told = state == "none" or state.startswith("done")
-    told = [] if is_told else [f"diagnosis {state}"]
-    return [*told, *([f"verdict of {view.text('verdict_time', '-')}: {found}"] if found else [])]
-
-
-def _shown_name(view: JointView) -> str:
-    """The joint, with its namespace where its node is known."""
-    namespace = view.nodes[0].rpartition("/")[0].strip("/") if len(view.nodes) == 1 else ""
-    return f"{namespace}/{view.name}" if namespace else view.name
-
-
-def _node(view: JointView) -> str:
-    """Nodes that may report it, or else the hardware_id or topic."""
-    return " or ".join(view.nodes) or view.status.hardware_id or view.topic
+def _number(value: float, places: int) -> str:
+    """A number with so many decimals, without where it is large; a dash where it is not finite."""
+    if not math.isfinite(value):
+        return "-"
+    return f"{value:.{places}f}" if abs(value) < _LARGE else f"{value:.0e}"

@@ -1,4 +1,4 @@
-"""What is pressed while a terminal shows something."""
+"""Keys pressed while a terminal shows something."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from collections.abc import Callable, Iterator
 
 @contextlib.contextmanager
 def pressed_keys() -> Iterator[Callable[[], str]]:
-    """What gives the keys pressed since it was last asked; none where stdin is no terminal of this program.
+    """A function that gives the keys pressed since its last call. The terminal is left as it was.
 
-    The terminal is left as it was.
+    None where stdin is no terminal or the program is in the background, which reading would stop.
     """
-    fd = sys.stdin.fileno() if sys.stdin is not None and not sys.stdin.closed and sys.stdin.isatty() else -1
-    if fd < 0 or os.tcgetpgrp(fd) != os.getpgrp():  # in the background it would be stopped
-        yield lambda: ""
+    fd = sys.stdin.fileno() if sys.stdin.isatty() else -1
+    if fd < 0 or os.tcgetpgrp(fd) != os.getpgrp():
+        yield str
         return
     before = termios.tcgetattr(fd)
     try:

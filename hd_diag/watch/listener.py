@@ -1,4 +1,4 @@
-"""A ROS node that listens to diagnostics and sees which nodes publish them."""
+"""A ROS node that listens to diagnostics."""
 
 # mypy: disallow-untyped-calls=False
 
@@ -12,7 +12,7 @@ from functools import partial
 from typing import Any
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -20,53 +20,45 @@ from rclpy.utilities import try_shutdown
 from std_srvs.srv import Trigger
 
 from hd_diag.messages.publications import DIAGNOSTICS
-from hd_diag.watch.state import DEFAULT_TOPIC, NodeSeen, ReportedStatus, Watch
+from hd_diag.watch.state import Watch
 
+_TOPIC = "/diagnostics"  # everywhere, and the ends of those of nodes that were given another
 _LOOK_PERIOD = 1.0  # between looks at the ROS graph [s]
 _DEPTH = 100  # reports that may wait
 
 
 class Listener(Node):
-    """Gives a `Watch` what is published and which nodes there are."""
+    """Gives a `Watch` what is published."""
 
     def __init__(self, watch: Watch) -> None:
-        name = f"hd_diag_watch_{os.getpid()}"
-        super().__init__(name, enable_rosout=False, start_parameter_services=False)
-        self._watch = watch
+        super().__init__(f"hd_diag_watch_{os.getpid()}", enable_rosout=False, start_parameter_services=False)
+        self._watch, self._next_look = watch, 0.0
         self._topics: set[str] = set()
         self._diagnosers: dict[str, Any] = {}
-        self._next_look = 0.0
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self)
-        if not watch.namespaces:
-            self._listen(DEFAULT_TOPIC)
+        self._listen(_TOPIC)
 
     def wait(self, seconds: float) -> None:
-        """Sleep until something comes, at most for so long [s]; look around from time to time."""
-        now = time.monotonic()
-        if now >= self._next_look:
-            self._next_look = now + _LOOK_PERIOD
-            self.look()
+        """Sleep until something comes, at most for so long [s]; listen to new topics from time to time."""
+        if time.monotonic() >= self._next_look:
+            self._next_look = time.monotonic() + _LOOK_PERIOD
+            for topic, types in self.get_topic_names_and_types():
+                if topic.endswith(_TOPIC) and DIAGNOSTICS in types:
+                    self._listen(topic)
         self._executor.spin_once(timeout_sec=seconds)
-
-    def look(self) -> None:
-        """See which nodes there are, and listen to those that are wanted."""
-        topics: dict[str, list[str]] = dict(self.get_topic_names_and_types())
-        carrying = [topic for topic, types in topics.items() if DIAGNOSTICS in types]
-        self._watch.nodes = sorted(node for topic in carrying for node in self._senders(topic, topics))
-        for node in self._watch.wanted_nodes():
-            self._listen(node.topic)
 
     def diagnose(self) -> None:
         """Ask the nodes that are watched for a diagnosis; what they answer is told."""
+        there = dict(self.get_service_names_and_types())
         self._watch.answers.clear()
-        for node in self._watch.wanted_nodes():
-            client = self._diagnosers.get(node.name) or self.create_client(Trigger, f"{node.name}/diagnose")
-            self._diagnosers[node.name] = client
-            if client.service_is_ready():
-                client.call_async(Trigger.Request()).add_done_callback(partial(self._answered, node.name))
+        for node in self._watch.nodes():
+            if (name := f"{node}/diagnose") in there:
+                client = self._diagnosers.get(name) or self.create_client(Trigger, name)
+                self._diagnosers[name] = client
+                client.call_async(Trigger.Request()).add_done_callback(partial(self._answered, node))
             else:
-                self._watch.answers[node.name] = "has no service ~/diagnose"
+                self._watch.answers[node] = "has no service ~/diagnose"
 
     def _answered(self, node: str, asked: Any) -> None:
         answer = asked.result()
@@ -77,28 +69,16 @@ class Listener(Node):
         self._executor.shutdown()
         super().destroy_node()
 
-    def _senders(self, topic: str, topics: dict[str, list[str]]) -> Iterator[NodeSeen]:
-        """Nodes of this package that publish diagnostics on a topic."""
-        for info in self.get_publishers_info_by_topic(topic):
-            name = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-            below = [other[len(name) + 1 :] for other in topics if other.startswith(f"{name}/")]
-            if "transmission_error" in below:
-                joints = (rest.removesuffix("/backlash") for rest in below if rest.endswith("/backlash"))
-                yield NodeSeen(name, topic, frozenset(joints))
-
     def _listen(self, topic: str) -> None:
         if topic not in self._topics:
             self._topics.add(topic)
             self.create_subscription(DiagnosticArray, topic, partial(self._take, topic), _DEPTH)
 
     def _take(self, topic: str, array: DiagnosticArray) -> None:
-        self._watch.take(topic, map(_status, array.status), time.monotonic())
-
-
-def _status(status: DiagnosticStatus) -> ReportedStatus:
-    values = {pair.key: pair.value for pair in status.values}
-    level = int.from_bytes(status.level, "little")
-    return ReportedStatus(status.name, level, status.message, values, status.hardware_id)
+        values = ({pair.key: pair.value for pair in status.values} for status in array.status)
+        parts = zip(array.status, values, strict=True)
+        statuses = ((s.name, s.level[0], s.message, each, s.hardware_id) for s, each in parts)
+        self._watch.take(topic, statuses, time.monotonic())
 
 
 @contextlib.contextmanager

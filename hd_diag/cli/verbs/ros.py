@@ -63,7 +63,7 @@ def node() -> None:
 def watch() -> None:
     """Show the values and faults of a running node in the terminal.
 
-    A table in a terminal, where the key d asks the nodes for a diagnosis; in a pipe one line a second for
-    each joint. Needs ROS 2 Jazzy. Exit codes: 0 done, 1 a fault with --fail-on-fault, 2 nothing came within
-    --timeout, 130 after Ctrl-C.
+    A table in a terminal, where the key d asks the nodes for a diagnosis and q ends; in a pipe one line a
+    second for each joint. Needs ROS 2 Jazzy. Exit codes: 0 done, 1 a fault with --fail-on-fault, 2 nothing
+    came within --timeout, 130 after Ctrl-C.
     """
