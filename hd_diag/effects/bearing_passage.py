@@ -11,7 +11,7 @@ from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Starts, Values
 from hd_diag.effects.excitation import enough_input_turns, input_turns
 from hd_diag.effects.harmonic import Harmonic
-from hd_diag.effects.order_spectrum import line_width, spectrum
+from hd_diag.effects.order_spectrum import line_width, peaks, spectrum
 from hd_diag.effects.quantity import Quantity, amplitude, direction, switch
 from hd_diag.effects.signals import Signals
 from hd_diag.formatting import ARCSEC
@@ -54,10 +54,8 @@ class BearingPassage(Harmonic):
         load = signals.torque / max(float(np.sqrt(np.mean(signals.torque**2))), 1e-9)
         _, loaded = spectrum(signals.wave_generator_angle, residual * load, _HIGHEST)
         most = _LEADING * float(np.max(np.maximum(strength, loaded)[order > _LOWEST], initial=0.0))
-        peak = np.zeros(order.size, dtype=np.bool_)
-        peak[1:-1] = (strength[1:-1] >= strength[:-2]) & (strength[1:-1] >= strength[2:])
-        place = np.flatnonzero(peak & _allowed(order, signals))
-        best = place[np.argsort(strength[place])[::-1][:_CANDIDATES]]
+        found = peaks(strength, 1)
+        best = found[_allowed(order, signals)[found]][:_CANDIDATES]
         steady: list[Values] = [(float(order[index]), 0.0) for index in best]
         slipping: list[Values] = [(float(order[index]), 1.0) for index in best if strength[index] >= most]
         return Starts(steady + slipping, trials)

@@ -7,13 +7,12 @@ from functools import partial
 
 import numpy as np
 import numpy.typing as npt
-from numpy.lib.stride_tricks import sliding_window_view
 
 from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Starts
 from hd_diag.effects.excitation import Verdict, enough_input_turns, sample_interval, torque_known
 from hd_diag.effects.harmonic import Harmonic
-from hd_diag.effects.order_spectrum import integer_orders
+from hd_diag.effects.order_spectrum import integer_orders, peaks
 from hd_diag.effects.quantity import Quantity, amplitude, direction
 from hd_diag.effects.signals import Signals
 from hd_diag.formatting import ARCSEC
@@ -60,10 +59,7 @@ class EncoderInterpolation(Harmonic):
         """
         order, gear = np.arange(strength.size), self._gear(signals)
         can = self.divides(order) & (strength > 0.0) & ((gear == 1.0) | (order % gear != 0.0))
-        beside = self.multiple - 1
-        can &= strength >= sliding_window_view(np.pad(strength, beside), 2 * beside + 1).max(axis=1)
-        found = order[can]
-        return [int(one) for one in found[np.argsort(strength[found])[::-1]]]
+        return [int(one) for one in peaks(strength, self.multiple - 1) if can[one]]
 
     def divides(self, number: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
         """Whether circles are divided by numbers, shape (n,)."""

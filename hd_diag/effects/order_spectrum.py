@@ -1,12 +1,13 @@
-"""Amplitude of a residual over orders of an angle, for samples at any angles: sums over bins, then an FFT."""
+"""Amplitude of a residual over orders of an angle, and its peaks: sums over bins, then an FFT."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
-from hd_diag.arrays import Floats
+from hd_diag.arrays import Floats, Integers
 
 _OVERSAMPLING = 4  # orders per resolvable one: a line between two of them loses 5 % at most
 _MOST_BINS = 2**23
@@ -23,12 +24,23 @@ def spectrum(angle: Floats, residual: Floats, highest: float) -> tuple[Floats, F
     per_turn = min(_BINS_PER_PERIOD * highest, _MOST_BINS / (_OVERSAMPLING * span / (2.0 * math.pi)))
     width = 2.0 * math.pi / per_turn
     bins = int(span / width) + 1
-    way = travelled(angle)
-    sums = np.bincount(((angle - first) / width).astype(np.int64), way * (residual - residual.mean()), bins)
     length = 2 ** math.ceil(math.log2(_OVERSAMPLING * bins))
     order = np.arange(length // 2 + 1) * (2.0 * math.pi / (length * width))
     kept = order <= highest
-    return order[kept], np.abs(np.fft.rfft(sums, length))[kept] * (2.0 / angle.size)
+    return order[kept], _strength(angle, residual, (angle - first) / width, bins, length)[kept]
+
+
+def integer_orders(angle: Floats, residual: Floats, highest: int) -> Floats:
+    """Strength of the integer orders 0 to highest [rad], shape (highest + 1,)."""
+    bins = 2 ** math.ceil(math.log2(_BINS_PER_PERIOD * highest))
+    place = np.floor(np.mod(angle, 2.0 * math.pi) * (bins / (2.0 * math.pi))) % bins
+    return _strength(angle, residual, place, bins, bins)[: highest + 1]
+
+
+def _strength(angle: Floats, residual: Floats, place: Floats, bins: int, length: int) -> Floats:
+    """Magnitudes of the Fourier transform of so many bins, filled with zeros to a length [rad]."""
+    sums = np.bincount(place.astype(np.int64), travelled(angle) * (residual - residual.mean()), bins)
+    return np.asarray(np.abs(np.fft.rfft(sums, length)) * (2.0 / angle.size))
 
 
 def travelled(angle: Floats) -> Floats:
@@ -41,12 +53,11 @@ def travelled(angle: Floats) -> Floats:
     return np.asarray(way / way.mean())
 
 
-def integer_orders(angle: Floats, residual: Floats, highest: int) -> Floats:
-    """Strength of the integer orders 0 to highest [rad], shape (highest + 1,)."""
-    bins = 2 ** math.ceil(math.log2(_BINS_PER_PERIOD * highest))
-    place = np.floor(np.mod(angle, 2.0 * math.pi) * (bins / (2.0 * math.pi))).astype(np.int64) % bins
-    sums = np.bincount(place, travelled(angle) * (residual - residual.mean()), bins)
-    return np.asarray(np.abs(np.fft.rfft(sums))[: highest + 1] * (2.0 / angle.size))
+def peaks(strength: Floats, beside: int) -> Integers:
+    """Indices of values that none of so many on either side exceeds, the strongest first."""
+    most = sliding_window_view(np.pad(strength, beside), 2 * beside + 1).max(axis=1)
+    found = np.flatnonzero(strength >= most)
+    return np.asarray(found[np.argsort(strength[found])[::-1]])
 
 
 def line_width(angle: Floats, leak: float) -> float:
