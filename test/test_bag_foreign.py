@@ -4,6 +4,8 @@ import gzip
 import json
 import shutil
 import sqlite3
+import subprocess
+import sys
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -279,6 +281,55 @@ def test_a_replay_takes_what_it_needs(tmp_path: Path) -> None:
         with BagReader(out) as reader:
             counts = {topic.name: topic.count for topic in reader.topics}
         assert counts["/joint_states"] == counts["/hd_diag/residual"] == COUNT
+
+
+PEAK_OF_READING = """
+import sys
+from pathlib import Path
+from hd_diag.bag import BagReader, recover
+
+def peak():
+    return int(Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0])
+
+def read(path):
+    with BagReader(path) as reader:
+        return sum(len(batch) for batch in reader.batches([sys.argv[3]] if sys.argv[3:] else None))
+
+read(sys.argv[1])
+recover(sys.argv[1], "whole.mcap")
+before = peak()
+print(read(sys.argv[2]), recover(sys.argv[2], "saved.mcap").counts, peak() - before)
+"""
+
+
+@pytest.mark.skipif(not hasattr(sqlite3.Connection, "blobopen"), reason="Python 3.10 reads rows whole")
+@pytest.mark.parametrize("content", ["zeroblob(100000000)", "hex(zeroblob(50000000))"])
+def test_what_sqlite_takes_for_a_long_row_is_bounded_too(content: str, tmp_path: Path) -> None:
+    """Of 100 MB, as BLOB and as text, of which it reads all to say how long it is."""
+    for name in ("plain", "long"):
+        with RosbagsWriter(tmp_path / name, version=9) as writer:
+            joints = writer.add_connection("/joint_states", JOINT_STATE, typestore=jazzy())
+            for row, now in zip(STATES, STAMPS.tolist(), strict=True):
+                writer.write(joints, now, row.tobytes())
+    with closing(sqlite3.connect(tmp_path / "long" / "long.db3")) as db:
+        db.execute(f"UPDATE messages SET data = {content} WHERE id = 150")
+        db.commit()
+    code = [sys.executable, "-c", PEAK_OF_READING, "plain", "long", "/joint_states"]
+    run = subprocess.run(code, cwd=tmp_path, capture_output=True, text=True, check=True)
+    read, *counts, more = run.stdout.split()
+    assert (read, counts) == (str(COUNT), ["{'/joint_states':", f"{COUNT}}}"])
+    assert int(more) < 40_000  # [kB]
+
+
+def test_a_definition_that_would_fill_the_memory_is_refused(tmp_path: Path) -> None:
+    with RosbagsWriter(tmp_path / "bag", version=9) as writer:
+        writer.add_connection("/joint_states", JOINT_STATE, typestore=jazzy())
+    with closing(sqlite3.connect(tmp_path / "bag" / "bag.db3")) as db:
+        db.execute("UPDATE message_definitions SET encoded_message_definition = hex(zeroblob(20000000))")
+        db.commit()
+    result = hd_diag("topics", tmp_path / "bag")
+    assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
+    assert "string or blob too big" in result.stderr
 
 
 def test_a_row_that_would_fill_the_memory_is_refused_alone(tmp_path: Path) -> None:

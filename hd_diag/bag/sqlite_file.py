@@ -26,6 +26,14 @@ _STEPS_PER_TURN = 10_000
 _ROWS, _BYTES = 4096, 4 << 20  # that are read at a time
 _HEADS = 1 << 16  # rows whose times are looked through at a time
 _DAMAGE = (sqlite3.Error, TypeError, ValueError, OverflowError)
+# Of a BLOB alone SQLite knows the length without reading it.
+_AS_READ = f"""
+    CASE WHEN typeof(data) <> 'blob' THEN x'' WHEN LENGTH(data) <= {MAX_READ} THEN data ELSE LENGTH(data) END
+"""
+_AS_COPIED = f"""
+    CASE typeof(data) WHEN 'blob' THEN CASE WHEN LENGTH(data) <= {LARGE} THEN data END
+        WHEN 'text' THEN NULL ELSE x'' END
+"""
 _COUNT = """
     SELECT topic_id, COUNT(*), MIN(timestamp), MAX(timestamp),
         SUM(typeof(timestamp) <> 'integer' OR timestamp < 0) + (typeof(topic_id) <> 'integer')
@@ -80,14 +88,15 @@ class SqliteFile:
 
         Where the recorder's clock was set back, messages of after it come behind those of before. Of all
         topics those above `LARGE` are given without their content, where Python can read that bit by bit
-        (3.11 and later). Of some topics those above `MAX_READ` are `too_long`, which no decoder takes.
+        (3.11 and later). Of some topics those above `MAX_READ` are `too_long`, which no decoder takes, and
+        what is no BLOB is given empty.
         """
         which, content, read, order = "true", "CAST(data AS BLOB)", 0, "id"
         if numbers is not None:
             which, order = f"topic_id IN ({','.join(map(str, numbers))})", "timestamp, id"
-            content = f"CASE WHEN LENGTH(data) <= {MAX_READ} THEN {content} ELSE LENGTH(data) END"
+            content = _AS_READ
         elif hasattr(sqlite3.Connection, "blobopen"):
-            content = f"CASE WHEN LENGTH(data) <= {LARGE} THEN {content} END"
+            content = _AS_COPIED
         query = f"SELECT topic_id, timestamp, {content}, id FROM messages WHERE {which} {{}} ORDER BY {order}"
         try:
             with closing(self._open()) as db:
@@ -148,6 +157,8 @@ class SqliteFile:
         """Open a connection that writes nothing and takes no longer than the size of the file allows."""
         db = sqlite3.connect(self._uri, uri=True)
         db.text_factory = lambda text: text.decode(errors="replace")
+        if hasattr(db, "setlimit"):  # Python 3.11 and later
+            db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_READ)  # of names and definitions too
         db.execute("PRAGMA trusted_schema=OFF")
         db.execute("PRAGMA query_only=ON")
         turns, most = itertools.count(), 1000 + self._size * _STEPS_PER_BYTE // _STEPS_PER_TURN

@@ -26,6 +26,7 @@ from hd_diag.diagnosis.ripple.ripple import NO_TORQUE, Ripple, ripple
 from hd_diag.diagnosis.screening import screened
 from hd_diag.diagnosis.work import Work
 from hd_diag.effects import Catalogue
+from hd_diag.memory import give_back
 from hd_diag.records.joint_record import InputRecord, nothing, read_bags, read_motion
 from hd_diag.records.tables import Table, read_table_motion, read_tables
 from hd_diag.records.text_table import WHITE
@@ -57,6 +58,7 @@ class Records:
             return orders_only(looked, joint.configured, rng)
         advance(0.0, 1.0, "preparing the model (a minute, the first time on a machine)")
         warm_up()  # compiling takes nothing from the time limit
+        give_back()
         work = Work(self.time_limit, lambda share, text: advance(share, 1.0, text))
         found = diagnose(looked, joint.configured, rng, work, self.catalogue)
         return with_allowed(found, self.config.flat, joint.name)
