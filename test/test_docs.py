@@ -26,7 +26,6 @@ from hd_diag.cli import cli
 from hd_diag.config.configuration import resolve
 from hd_diag.config.parameters import JOINT_PARAMETERS, NODE_PARAMETERS
 from hd_diag.effects import CATALOGUE
-from hd_diag.effects.effect import Effect
 from hd_diag.messages.publications import published_topics
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.monitor.all_joints import Monitor
@@ -200,6 +199,22 @@ def test_generated_parts_and_pictures_are_those_of_the_code() -> None:
     assert generate.stale(write=False) == [], "python docs/generate.py"
 
 
+def test_every_verb_option_parameter_and_effect_is_explained() -> None:
+    command_line, parameters, effects = (
+        " ".join((DOCS / f"{name}.md").read_text(encoding="utf-8").replace("\\", "").split())
+        for name in ("command_line", "parameters", "effects")
+    )
+    verbs = [cli.get_command(click.Context(cli), verb) for verb in cli.commands]
+    options = [option for verb in verbs for option in verb.params if isinstance(option, click.Option)]
+    assert [name for option in options for name in option.opts if name not in command_line] == []
+    every = (*NODE_PARAMETERS, *JOINT_PARAMETERS)
+    assert [p.name for p in every if p.name not in parameters or p.meaning not in parameters] == []
+    for effect in CATALOGUE:
+        names = (effect.name, *(quantity.name for quantity in effect.quantities))
+        wanted = (*names, *effect.confused_with, *effect.always_confused, " ".join(effect.cause.split()))
+        assert [name for name in wanted if name not in effects] == []
+
+
 def test_a_part_that_is_out_of_date_is_written_anew_and_nothing_else() -> None:
     text = "before\n<!-- made: frames -->\n\nold\n\n<!-- end -->\nafter\n"
     found = generate.renewed(text, "")
@@ -284,30 +299,6 @@ def test_pages_need_no_network_and_name_no_place_of_a_machine(
     told = " ".join(page.text for page in pages.values())
     assert str(source_copy) not in told
     assert re.findall(r"/(?:root|home|tmp|work|Users)/\w", told) == []
-
-
-def test_every_verb_and_parameter_is_there(pages: dict[str, Page]) -> None:
-    page, text = pages["command_line.html"], pages["parameters.html"].text
-    for verb in cli.commands:
-        assert verb in page.places
-        options = cli.get_command(click.Context(cli), verb).params  # type: ignore[union-attr]
-        names = [name for option in options if isinstance(option, click.Option) for name in option.opts]
-        assert [name for name in names if name not in page.text] == []
-    plain = text.replace("’", "'").replace("‘", "'")  # Sphinx turns them
-    for parameter in (*NODE_PARAMETERS, *JOINT_PARAMETERS):
-        assert parameter.name in text
-        assert parameter.meaning in plain
-
-
-@pytest.mark.parametrize("effect", CATALOGUE, ids=lambda effect: effect.name)
-def test_every_effect_is_there(effect: Effect, pages: dict[str, Page]) -> None:
-    page = pages["effects.html"]
-    assert effect.name in page.places | {place.replace("-", "_") for place in page.places}
-    quantities = (quantity.name for quantity in effect.quantities)
-    wanted = (*quantities, *effect.confused_with, *effect.always_confused)
-    assert [name for name in wanted if name not in page.text] == []
-    plain = page.text.replace("’", "'").replace("–", "--")
-    assert " ".join(effect.cause.split()) in plain
 
 
 def test_nomenclature_figures_and_the_public_core_are_those_of_the_code(pages: dict[str, Page]) -> None:

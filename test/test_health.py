@@ -99,18 +99,24 @@ def limited(**given: tuple[float, float]) -> Config:
     return config(**QUIET | limits)
 
 
+@pytest.mark.parametrize("is_log_failed", [False, True])
 @pytest.mark.parametrize(("fault", "cause", "level", "message"), CAUSES)
 def test_a_fault_is_raised_and_cleared(
-    life: Life, fault: str, cause: dict[str, Any], level: int, message: str
+    life: Life, fault: str, cause: dict[str, Any], level: int, message: str, is_log_failed: bool
 ) -> None:
+    """It is told before what is wrong with the log, a warning as well as an error."""
+    log = {"log_state": "failed: disk full", "log_warning": "old.mcap cannot be deleted"}
     limits = {name: value for name, value in cause.items() if isinstance(value, tuple)}
     how = {name: value for name, value in cause.items() if name not in {*limits, "silent"}}
     life.monitor.configure(limited(**limits))
     life.run(**how)
-    status = life.report(after=MS + int(cause.get("silent", 0.0) * SECOND))
+    after = MS + int(cause.get("silent", 0.0) * SECOND)
+    status = life.report(after, **(log if is_log_failed else {}))
     assert code(status) == (fault, level)
-    assert status.values["fault_codes"] == fault
+    assert status.values["fault_codes"] == fault + " LOG_FAILED" * is_log_failed
     assert status.message.startswith(message)
+    told = "; log failed: disk full; log: old.mcap cannot be deleted"
+    assert status.message.endswith(told) == is_log_failed
     life.monitor.configure(config(**QUIET))
     life.run()
     status = life.report()
@@ -137,23 +143,6 @@ def test_of_several_the_worst_is_told_and_all_are_named(life: Life) -> None:
     assert status.values["fault_codes"] == "INPUT_INVALID OUT_OF_RANGE LOG_FAILED"
     assert status.message.startswith("30 samples rejected")
     assert status.message.endswith("; log failed: disk full")
-
-
-@pytest.mark.parametrize(("fault", "cause", "level", "message"), [each for each in CAUSES if each[2] == 1])
-def test_what_is_wrong_with_the_log_hides_no_fault_of_a_joint(
-    life: Life, fault: str, cause: dict[str, Any], level: int, message: str
-) -> None:
-    """Of one level the joint's own is told first, and the log's beside it."""
-    limits = {name: value for name, value in cause.items() if isinstance(value, tuple)}
-    how = {name: value for name, value in cause.items() if name not in {*limits, "silent"}}
-    life.monitor.configure(limited(**limits))
-    life.run(**how)
-    after = MS + int(cause.get("silent", 0.0) * SECOND)
-    status = life.report(after, log_state="failed: disk full", log_warning="old.mcap cannot be deleted")
-    assert code(status) == (fault, level)
-    assert status.values["fault_codes"] == f"{fault} LOG_FAILED"
-    assert status.message.startswith(message)
-    assert status.message.endswith("; log failed: disk full; log: old.mcap cannot be deleted")
 
 
 def test_two_findings_of_one_fault_name_it_once(life: Life) -> None:
