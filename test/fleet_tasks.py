@@ -65,6 +65,8 @@ def row(arcsec: float = 40.0, microns: float = 5.0, residual: float = 1.0 * ARCS
         "samples": 4000,
         "duration_s": 60.0,
         "judgement": "parameters",
+        "light": "green",
+        "advice": "Nothing to do: the error is within its limit.",
         "trustworthy": True,
         "error_rad": arcsec * ARCSEC,
         "error_std_rad": 0.01 * ACCURACY,
@@ -166,6 +168,6 @@ def fleet_rows(robots: int = 40) -> list[Row]:
     last[24].update(**CAUSED, error_rad=ACCURACY * 2.0)
     last[14].update(error="too short: 12 usable samples", error_rad=None, rms_nominal_rad=None)
     last[20].update(problems=["week_7.mcap: is cut off or damaged at byte 228680 of 261683"])
-    last[29].update(error_rad=None, error_std_rad=None)
+    last[29].update(error_rad=None, error_std_rad=None, light="not_judged", advice="Cannot be judged.")
     rows.append({"bag": "bags/robot_3/strange.mcap", "robot": "robot_3", "error": "is not an MCAP file"})
     return rows

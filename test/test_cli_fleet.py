@@ -153,7 +153,7 @@ def test_a_row_is_what_diagnose_says(judged: tuple[Result, Path]) -> None:
     written = json.loads(hd_diag("diagnose", folder / "bags" / "good.mcap", "--json", "-").stdout)
     size = written["refit"]["parameters"]["eccentricity.magnitude"]
     normal = written["normal"]
-    equal = {name: written[name] for name in ("verdict", "judgement")}
+    equal = {name: written[name] for name in ("verdict", "judgement", "advice")}
     equal |= {"samples": 4000, "causes": [cause["name"] for cause in written["causes"]]}
     equal |= {"start": datetime(2026, 1, 1, tzinfo=timezone.utc)}
     near = {"rms_extended_rad": written["gain"]["rms_extended"], "accuracy_rad": normal["accuracy"]}

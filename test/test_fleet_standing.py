@@ -14,6 +14,9 @@ from hd_diag.fleet.trend import trends
 REFUSED = {"refused": 1_000, "last_refusal": "its stamp repeats the last"}
 CUT = {"problems": ["a.mcap: is cut off or damaged at byte 228680 of 261683"]}
 NOT_TOLD = {"error_rad": None, "error_std_rad": None}
+GREY = {"judgement": "misfit", "light": "not_judged"}
+GREY |= {"advice": "Cannot be judged: the model does not describe this record."}
+INSPECT = {"light": "red", "advice": "Inspect: hysteresis (99.0 % sure)."}
 
 
 def weeks(*given: dict[str, Any], **more: Any) -> list[dict[str, Any]]:
@@ -34,8 +37,11 @@ def weeks(*given: dict[str, Any], **more: Any) -> list[dict[str, Any]]:
         ({"microns": 9.9}, "amber", "eccentricity 9.90 ± 0.10 µm, too near"),
         ({"microns": 11.0, "arcsec": 89.0}, "red", "eccentricity 11.00 ± 0.10 µm, beyond"),
         ({"error_std_rad": 0.5 * ACCURACY}, "amber", "too near"),
-        ({"microns": 9.9, "judgement": "misfit"}, "green", None),
-        ({"microns": 20.0, "judgement": "misfit"}, "amber", "eccentricity 20.0 µm, too near"),
+        ({"microns": 20.0, **GREY}, "not_judged", "Cannot be judged: the model does not describe"),
+        ({"arcsec": 92.0, **GREY}, "red", "transmission error 92.0"),
+        ({"causes": ["hysteresis"], **INSPECT}, "red", "Inspect: hysteresis"),
+        ({"arcsec": 89.0, **INSPECT, **CUT}, "red", "Inspect: hysteresis (99.0 % sure); the bag is cut off"),
+        ({"light": "amber", "advice": "Watch: a hint"}, "amber", "Watch: a hint"),
         ({"microns": 20.0, "trustworthy": False}, "green", None),
         ({"samples": 9_000, **REFUSED}, "amber", "1000 of 10000 samples are left out, the last because: its"),
         ({"samples": 90_000, **REFUSED}, "green", None),
@@ -43,10 +49,8 @@ def weeks(*given: dict[str, Any], **more: Any) -> list[dict[str, Any]]:
         ({"arcsec": 120.0, **CUT}, "red", "beyond"),
         ({"bag_duration_s": 121.0}, "amber", "only 60 of the bag's 121 s hold this joint"),
         ({"bag_duration_s": 119.0}, "green", None),
-        (NOT_TOLD, "not_judged", "its torque is not measured"),
         ({**NOT_TOLD, "microns": 12.0}, "red", "eccentricity"),
-        ({"causes": ["tooth_skip"]}, "red", "teeth or counts were skipped"),
-        ({"judgement": "not_judged", "verdict": "First of all: the ratio."}, "not_judged", "First of all"),
+        ({"error": "too short"}, "not_judged", "too short"),
         ({"arcsec": 10.0, "ripple_orders": [2.0]}, "not_judged", "one angle alone"),
     ],
 )
@@ -71,8 +75,7 @@ def test_what_could_not_be_judged_is_never_green() -> None:
 def test_since_when() -> None:
     """Of the last state without another between; a recording that was not judged says nothing."""
     bad = {"arcsec": 120.0}
-    lost = {"judgement": "not_judged", "verdict": "First of all: the ratio."}
-    (one,) = judged(weeks(bad, {}, bad, lost, bad)).standings
+    (one,) = judged(weeks(bad, {}, bad, GREY | {"arcsec": 40.0}, bad)).standings
     assert (one.colour.state, one.count, one.before) == ("red", 2, "green")
     assert one.since == pytest.approx((BEGIN + 2 * WEEK) * 1e-9)
     assert [state for _, state in one.history] == ["red", "green", "red", "not_judged", "red"]
@@ -83,7 +86,7 @@ def test_the_worst_first_then_what_changed_then_what_is_nearest_to_its_limit() -
         row(30.0, joint="joint_1"),
         row(120.0, joint="joint_2"),
         row(50.0, joint="joint_10"),
-        row(joint="joint_3", **NOT_TOLD),
+        row(joint="joint_3", **NOT_TOLD, **GREY),
         row(89.0, joint="joint_4"),
         row(150.0, joint="joint_5"),
     ]

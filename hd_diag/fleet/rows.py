@@ -17,6 +17,7 @@ from hd_diag.bag import BagError
 from hd_diag.config.catalogue import load
 from hd_diag.config.configuration import JointConfig
 from hd_diag.config.parameters import Value
+from hd_diag.diagnosis.action import advice
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
 from hd_diag.diagnosis.evidence.solution import Cause
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
@@ -43,7 +44,7 @@ Row = dict[str, Any]
 """Values by the names of `hd_diag.fleet.table.COLUMNS`; what is missing is unknown. `start` is in nanoseconds
 since 1970."""
 
-_CONTENT = "4"  # of rows: results that a journal holds with another are made again
+_CONTENT = "5"  # of rows: results that a journal holds with another are made again
 
 FITTED = {
     "eccentricity.magnitude": ("eccentricity{}_m", "m", "eccentricity, refitted"),
@@ -152,14 +153,18 @@ def judged(found: Diagnosis, joint: str) -> Row:
     causes, lines = report["causes"], report["unexplained"]
     tested = [test for test in report["testability"] if test["testable"]]
     normal, tolerance = report["normal"] or {}, report["tolerance"] or {}
+    answer = Answer(found)
+    advised = advice(answer)
     row = {
+        "light": advised.light,
+        "advice": advised.text,
         "judgement": report["judgement"],
         "accuracy_rad": found.configured.accuracy,
         "error_rad": normal.get("measured"),
         "error_std_rad": normal.get("std"),
         "eccentricity_allowed_m": tolerance.get("allowed"),
         "eccentricity_criterion": tolerance.get("criterion"),
-        "inspect": [f"{card.title}: {card.inspect}" for card in cards(Answer(found)) if card.inspect],
+        "inspect": [f"{card.title}: {card.inspect}" for card in cards(answer) if card.inspect],
         "duration_s": record["duration"],
         **{name: record[name] for name in ("samples", "runs", "input_turns", "refused", "last_refusal")},
         "trustworthy": refit["trustworthy"],

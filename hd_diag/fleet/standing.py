@@ -1,15 +1,13 @@
 """How each joint stands: the colour of its last recording, the limits behind it, since when, and changes.
 
-One rule, for a recording of a joint:
+The colour of a recording is the traffic light of the joint's own page (`hd_diag.diagnosis.action`). Only what
+that page does not know makes it worse:
 
-* ``red``: a quantity is beyond its limit with its whole 95 % interval, or teeth were skipped.
-* ``amber``: the interval of a quantity holds its limit, or the recording is cut off, lacks the joint for more
-  than half of its time, or has more than a twentieth of its samples refused.
-* ``not_judged``: it could not be judged, or nothing tells whether the transmission error is within its limit.
-* ``green``: every quantity that is known is within its limit with its whole interval, the transmission
-  error among them.
+* ``red``: a quantity is beyond a limit that the user gives, with its whole 95 % interval.
+* ``amber``: the interval holds such a limit, or the recording is cut off, lacks the joint for more than half
+  of its time, or has more than a twentieth of its samples refused.
 
-Limits are the joint's accuracy, the eccentricity that its assembly may have, and those that a user gives.
+A joint with one angle has no light: limits of its ripple decide, and without one it is ``not_judged``.
 """
 
 from __future__ import annotations
@@ -21,7 +19,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import PurePath
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,7 +32,7 @@ from hd_diag.formatting import si, size, words
 
 _COVERED = 0.5  # of a bag, that a joint's samples must cover: drivers may start late, or stop early
 _REFUSED = 0.05  # of the samples; with fewer only the verdict says that they were refused
-_NO_TORQUE = "its torque is not measured, so its error may be torsion and is not held against the accuracy"
+_NO_LIGHT = "it was not judged"
 _ONE_ANGLE = "one angle alone: no transmission error, only lines of the torque"
 
 
@@ -154,27 +152,30 @@ def _joint(row: Row) -> tuple[str, str]:
 
 
 def _colour(row: Row, series: Sequence[Series], limits: Limits) -> Colour:
-    unjudged = row.get("error") or (row.get("judgement") == "not_judged" and row["verdict"])
-    limited = () if unjudged else tuple(one for each in series if (one := _limited(row, each, limits)))
-    cut, places = (*missing(row), *left_out(row)), {one.place for one in limited}
-    reasons = []
-    for one in limited:
-        limit, value = f"its limit of {size(one.limit, one.unit)}", si(one.value, one.std, one.unit)
-        where = {"beyond": f"beyond {limit}", "near": f"too near to {limit} to judge"}.get(one.place)
-        reasons += [f"{words(one.quantity)} {value}, {where}"] if where else []
-    skipped, rippled = "tooth_skip" in (row.get("causes") or []), bool(row.get("ripple_orders"))
-    known = any(one.quantity == ERROR and one.place != "open" for one in limited)
-    rules: tuple[tuple[Any, str, list[str]], ...] = (  # the first that holds
-        (unjudged, GREY, [unjudged or ""]),
-        (skipped or "beyond" in places, RED, [*reasons, *["teeth or counts were skipped"] * skipped]),
-        (rippled and not limited, GREY, [_ONE_ANGLE]),
-        ("near" in places, AMBER, reasons),
-        (not (known or rippled), GREY, [_NO_TORQUE]),
-        (cut, AMBER, []),
-        (True, GREEN, []),
+    """The joint's light, or worse by a limit or a bag that is not whole."""
+    cut = (*missing(row), *left_out(row))
+    if row.get("error"):
+        return Colour(GREY, (row["error"], *cut), ())
+    limited = tuple(one for each in series if (one := _limited(row, each, limits)))
+    light, advice = row.get("light") or GREY, row.get("advice") or _NO_LIGHT
+    if row.get("ripple_orders"):
+        light, advice = GREEN if limited else GREY, _ONE_ANGLE
+    beside = [told for one in limited if (told := _beside(one))]
+    state = min([light, *(colour for colour, _ in beside), *[AMBER] * bool(cut)], key=LIGHTS.index)
+    own = [advice.removesuffix(".")] if state == light != GREEN else []
+    return Colour(state, (*(own or [text for colour, text in beside if colour == state]), *cut), limited)
+
+
+def _beside(one: Limited) -> tuple[str, str] | None:
+    """Colour and reason of a value that is not within its limit."""
+    limit, value = f"its limit of {size(one.limit, one.unit)}", si(one.value, one.std, one.unit)
+    if one.place == "beyond":
+        return RED, f"{words(one.quantity)} {value}, beyond {limit}"
+    return (
+        (AMBER, f"{words(one.quantity)} {value}, too near to {limit} to judge")
+        if one.place == "near"
+        else None
     )
-    state, why = next((state, why) for holds, state, why in rules if holds)
-    return Colour(state, (*why, *cut), limited)
 
 
 def missing(row: Row) -> list[str]:

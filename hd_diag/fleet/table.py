@@ -71,7 +71,11 @@ COLUMNS = pa.schema(
         _column("verdict", _TEXT, "", "one sentence"),
         _column("error", _TEXT, "", "why it could not be judged; null where it was"),
         _column("problems", _TEXTS, "", "what is unfinished about the bag's files"),
-        _column("state", _TEXT, "", "green, amber, red or not_judged: this recording beside its limits"),
+        _column(
+            "state", _TEXT, "", "green, amber, red or not_judged: its light, or worse by limits and gaps"
+        ),
+        _column("light", _TEXT, "", "traffic light of its own page, as of hd-diag diagnose"),
+        _column("advice", _TEXT, "", "what to do, as hd-diag diagnose says"),
         _column("judgement", _TEXT, "", "kind of the answer, as of hd-diag diagnose --json"),
         _column("error_rad", _NUMBER, "rad", "transmission error without torsion, peak to peak"),
         _column("error_std_rad", _NUMBER, "rad", "its standard deviation"),
