@@ -36,7 +36,7 @@ from hd_diag.effects.effect import Stage
 from hd_diag.extended_model import ExtendedModel
 from hd_diag.formatting import words
 
-_SEARCHED_ROWS = 12_000  # that a search gets: more cost time, and show what is larger than noise no better
+_SEARCHED_ROWS = 6_000  # that a search gets: more cost time, and show what is larger than noise no better
 _TESTED = 0.9  # of the time that a diagnosis may take, by which what could have been shown is tested
 _KEPT = 0.7  # the same, for which parameters are as configured
 _NO_LAWS = ("no law was found", "no law was found")
@@ -109,7 +109,7 @@ class Diagnosis:
     def predicting(self) -> bool:
         """Whether held-out rows are predicted better with the causes than without, or as configured."""
         rms = self.rms
-        return rms is None or rms.by_causes < rms.without_causes
+        return rms is None or rms.left < rms.without_causes
 
     def doubt(self, cause: Cause) -> str:
         """The first reason for which a cause is not named; empty where it is.

@@ -49,7 +49,8 @@ class Rms:
     without its order table; `offline` that of the fit's own signals; `live` that of the model as it runs with
     the torque as reported, not smoothed. All but the first two contain `wandering`: how causes wander in
     amplitude and phase, which nothing foretells. The noise is `repeated` if it is from states that were
-    passed again; else it is a lower bound, from differences between neighbours.
+    passed again; else it is a lower bound, from differences between neighbours. `wandering_offline` is what
+    wanders of `offline`.
     """
 
     nominal: float
@@ -63,16 +64,18 @@ class Rms:
     noise_high: float
     repeated: bool = field(default=True, kw_only=True)
     wandering: float = field(default=0.0, kw_only=True)
+    wandering_offline: float = field(default=0.0, kw_only=True)
     slow: float = field(default=math.nan, kw_only=True)
     gear: float = field(default=math.nan, kw_only=True)
 
     @property
-    def by_causes(self) -> float:
-        """Residual less the wandering of causes; with causes it must be smaller than without them.
+    def left(self) -> float:
+        """Residual less the wandering of causes, as fitted or as the model runs.
 
-        As fitted or as the model runs: its torque is late or smoothed there, which speaks against no cause.
+        Its signals are late where it runs, which speaks against no cause; as fitted it has no order table.
         """
-        return self._followed(min(self.named, self.offline))
+        pairs = ((self.extended, self.wandering), (self.offline, self.wandering_offline))
+        return min(math.sqrt(max(whole**2 - wandering**2, 0.0)) for whole, wandering in pairs)
 
     @property
     def without_causes(self) -> float:
@@ -81,26 +84,16 @@ class Rms:
 
     @property
     def misfit(self) -> Misfit:
-        """Residual less the wandering of causes over the noise, as fitted or as the model runs.
-
-        Its signals are late where it runs, which speaks against no cause; as fitted it has no order table.
-        """
+        """What is `left` over the noise."""
         value, low, high = (
-            self._left / max(one, 1e-300) for one in (self.noise, self.noise_high, self.noise_low)
+            self.left / max(one, 1e-300) for one in (self.noise, self.noise_high, self.noise_low)
         )
         return Misfit(value, low, high, self.repeated)
 
     @property
     def beyond_noise(self) -> float:
         """What of that may be more than noise [rad rms]."""
-        return math.sqrt(max(self._left**2 - self.noise**2, 0.0))
-
-    @property
-    def _left(self) -> float:
-        return self._followed(min(self.extended, self.offline))
-
-    def _followed(self, rms: float) -> float:
-        return math.sqrt(max(rms**2 - self.wandering**2, 0.0))
+        return math.sqrt(max(self.left**2 - self.noise**2, 0.0))
 
 
 @dataclass(frozen=True)
@@ -249,6 +242,7 @@ def measured_gain(
         noise_high=most,
         repeated=noise.repeated and not noise.vague,
         wandering=_rms(projection(wandering, extended)),
+        wandering_offline=_rms(projection(wandering, offline)),
         slow=slow,
         gear=gear,
     )

@@ -18,10 +18,11 @@ from hd_diag.diagnosis.evidence.calibration import (
     UNPROVED,
 )
 from hd_diag.diagnosis.evidence.search import Found
-from hd_diag.diagnosis.evidence.sets import Set
+from hd_diag.diagnosis.evidence.sets import Set, presence
 from hd_diag.diagnosis.fit.design import solve
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.present_effects import Item
+from hd_diag.effects.effect import Effect
 from hd_diag.formatting import ARCSEC, words
 
 
@@ -106,18 +107,24 @@ def _standing(found: Found, item: Item) -> Standing:
     if len(values) > 1:
         for name in effect.always_confused:
             values[name] = 0.0
-        near = (name for name, odds in values.items() if name and odds > -UNPROVED)
-        values |= dict.fromkeys([name for name in near if _is_unproved(best, name)], 0.0)
+        values |= dict.fromkeys(
+            [name for name, odds in values.items() if _is_unproved(best, name, odds, effect)], 0.0
+        )
     others = tuple(one for one in (*best.fit.data.given, *best.causes) if one[0].name != effect.name)
     known = frozenset(one.name for one in best.fit.data.searched)
     own, deviation = own_size(best.fit, best.chosen, others, item)
     return Standing(values, known, own, deviation, best.foretells(effect.name))
 
 
-def _is_unproved(best: Set, name: str) -> bool:
-    """Whether the motion cannot show a cause for itself: then it may be there whatever fits better."""
+def _is_unproved(best: Set, name: str, odds: float, instead_of: Effect) -> bool:
+    """Whether the motion cannot show a cause for itself: then it may be there whatever fits better.
+
+    How many forms it may have speaks against none that this motion shows: they are alike here.
+    """
     effect = next((one for one in best.fit.data.searched if one.name == name), None)
-    return effect is not None and not best.fit.data.testable(effect)[0]
+    if effect is None or best.fit.data.testable(effect)[0]:
+        return False
+    return odds + presence(best.fit, instead_of) - presence(best.fit, effect) > -UNPROVED
 
 
 def in_class(values: Mapping[str, float], known: Collection[str]) -> tuple[tuple[str, ...], float, float]:

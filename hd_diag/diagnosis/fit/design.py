@@ -274,21 +274,28 @@ def holds(gain: Floats, predicted: Floats) -> bool:
     Returns
     -------
     bool
-        If more than half of what others foretell is there, for certain: by noise, where the blocks agree or
-        scatter no more than it lets them, and then no more than it may add; else by their scatter, each
-        counting by what is foretold of it.
+        If more than half of what others foretell is there, and no more than all of it, for certain: by noise,
+        where the blocks agree or scatter no more than it lets them; else by their scatter, each counting by
+        what is foretold of it, as many as they come to (Kish, Survey Sampling, 1965, 8.2).
     """
-    whole, few = float(predicted.sum()), gain.size - 1
-    if few < 1 or whole <= 0.0:
+    whole = float(predicted.sum())
+    if gain.size < 2 or whole <= 0.0:
         return False
     share = 0.5 * (1.0 + float(gain.sum()) / whole)
     away = 0.5 * (gain + predicted) - share * predicted
-    square, noise = float(away @ away), whole**-0.5
+    square, noise, few = float(away @ away), whole**-0.5, gain.size - 1
     agreeing = float(predicted[gain < 0.0].sum()) <= _DISAGREEING * whole
     as_noise = agreeing or square <= whole * float(stats.chi2.ppf(0.99, few)) / few
-    by_noise = 0.5 + _ONE_PER_CENT * noise < share < 1.0 + _ONE_PER_CENT * noise
-    beyond_scatter = share - 0.5 > stats.t.ppf(0.99, few) * max(square**0.5 / whole, noise)
-    return bool(beyond_scatter or (as_noise and by_noise))
+    if as_noise and _is_between(share, _ONE_PER_CENT * noise):
+        return True
+    freedom = whole**2 / float(predicted @ predicted) - 1.0
+    scatter = max(square**0.5 / whole, noise)
+    return freedom >= 1.0 and _is_between(share, float(stats.t.ppf(0.99, freedom)) * scatter)
+
+
+def _is_between(share: float, margin: float) -> bool:
+    """Whether a share is more than a half by a margin, and beyond one by no more."""
+    return 0.5 + margin < share < 1.0 + margin
 
 
 def interval(gains: Floats, rng: np.random.Generator, over: Floats | None = None) -> tuple[float, float]:
