@@ -197,7 +197,7 @@ def search(
             if found is None:
                 break
             others = [one for one in minima if one.value > minima[0].value - _HOPELESS]
-            minima = _at_minima(found, others, rng)
+            minima = _at_minima(found.polished(_TO_MINIMUM), others, rng)
     if minima[0] is not scanned:
         minima[0], reach = _along_datum(minima[0], rows)
     best, known = minima[0].moved_to(every).settled(_TO_MINIMUM).relearned(), _plain(instead)
