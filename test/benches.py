@@ -52,7 +52,7 @@ def of(effect: Effect, **values: float) -> Part:
 
 def chosen_set(fit: LinearisedFit, *causes: Item) -> Set:
     """A set of causes alone where a fit stands: without remainders."""
-    return Set(fit, Remainders(()), causes)
+    return Set(fit, Remainders(()), causes, fit.data.given)
 
 
 def solved(fit: LinearisedFit, *causes: Item) -> Solution:

@@ -149,6 +149,12 @@ class Diagnosis:
         return _NO_CAUSES | (dict.fromkeys(names, why) if why else {})
 
     @property
+    def untestable(self) -> tuple[Detectability, ...]:
+        """What this record could not have shown; what it hints at is no such thing."""
+        hinted = {name for cause in self.hints for name in cause.alike}
+        return tuple(test for test in self.testable if not test.testable and test.name not in hinted)
+
+    @property
     def order_table(self) -> tuple[OrderRow, ...]:
         """Waves without a cause, the largest first; those that repeat are in the model."""
         return self.found.table if self.found else self.orders
@@ -223,7 +229,7 @@ def diagnose(
         fit.sized(chosen, fit.fit(chosen)[0])
     )
     work.tell(0.7, "measuring the gain")
-    without = settle(fit.beside(()), fit.data.given)
+    without = settle(fit.beside(()), best.motor)
     rms, gain = measured_gain(record, test, which, without, measured, every, rng)
     work.tell(0.8, "using all data")
     whole = measured.at(settle(replace(every, whiten=fit.whiten), chosen, 2, learn=False))

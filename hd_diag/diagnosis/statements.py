@@ -86,8 +86,12 @@ def _limits(diagnosis: Diagnosis) -> list[str]:
 def _causes(answer: Answer) -> list[str]:
     """Those that can be named, then those that are nearest to what is left; or why there are none."""
     found = answer.diagnosis
-    parts = {"beside that": found.causes, "nearest to it, though not to be named for it": found.hints}
-    if said := [f"{how}: {'; '.join(map(_cause_in_words, some))}" for how, some in parts.items() if some]:
+    hints = [f"{_cause_in_words(cause)}: {found.doubt(cause)}" for cause in found.hints]
+    parts = {
+        "beside that": [*map(_cause_in_words, found.causes)],
+        "nearest to it, though not to be named for it": hints,
+    }
+    if said := [f"{how}: {'; '.join(some)}" for how, some in parts.items() if some]:
         return said
     if FURTHER_CAUSES in found.left_out:
         return ["no cause was found within the time limit"]

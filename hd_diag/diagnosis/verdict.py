@@ -194,7 +194,6 @@ def summary(diagnosis: Diagnosis) -> list[str]:
         lines.append(f"direction: {_HOW_TO_FIND}")
     lines += [f"inspect: {cause.effect.inspect}" for cause in diagnosis.causes if not is_usual(cause)]
     untested = defaultdict[str, list[str]](list)
-    for test in diagnosis.testable:
-        if not test.testable:
-            untested[test.reason].append(words(test.name))
+    for test in diagnosis.untestable:
+        untested[test.reason].append(words(test.name))
     return lines + [f"not testable here: {', '.join(names)}: {why}" for why, names in untested.items()]

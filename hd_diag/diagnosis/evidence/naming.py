@@ -110,7 +110,7 @@ def _standing(found: Found, item: Item) -> Standing:
         values |= dict.fromkeys(
             [name for name, odds in values.items() if _is_unproved(best, name, odds, effect)], 0.0
         )
-    others = tuple(one for one in (*best.fit.data.given, *best.causes) if one[0].name != effect.name)
+    others = tuple(one for one in (*best.motor, *best.causes) if one[0].name != effect.name)
     known = frozenset(one.name for one in best.fit.data.searched)
     own, deviation = own_size(best.fit, best.chosen, others, item)
     return Standing(values, known, own, deviation, best.foretells(effect.name))

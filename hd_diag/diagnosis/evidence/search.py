@@ -124,8 +124,9 @@ def begun(fit: LinearisedFit) -> Set:
     slope = np.abs(fit.data.model.at(fit_parameters.vector(drive, drive)).signals.predicted_torque_slope)
     finite = slope[np.isfinite(slope)]  # it is without end in the gap between the flanks
     compliance = float(np.median(finite)) if finite.size else 0.0
-    start = Set(fit, Remainders.of(fit.data.source, drive, compliance), ())
-    return start.valued().settled()
+    start = Set(fit, Remainders.of(fit.data.source, drive, compliance), (), fit.data.given)
+    settled = start.valued().settled()
+    return settled.polished(_TO_MINIMUM) if settled.motor else settled
 
 
 Instead = dict[str, dict[str, float]]

@@ -64,6 +64,8 @@ class Set:
         At the parameters and sizes that fit.
     remainders : Remainders
     causes : tuple of (Effect, nonlinear values)
+    motor : tuple of (Effect, nonlinear values)
+        What a motor takes of its current.
     widths : dict
         Prior widths over the usual size, of remainders and causes by name.
     value : float
@@ -75,6 +77,7 @@ class Set:
     fit: LinearisedFit
     remainders: Remainders
     causes: Chosen
+    motor: Chosen = ()
     widths: Widths = field(default_factory=dict)
     value: float = -np.inf
     rounds: int = 3
@@ -82,7 +85,7 @@ class Set:
     @property
     def given(self) -> Chosen:
         """What is no cause: remainders, and what a motor takes of its current."""
-        return (*self.remainders.at(self.widths), *self.fit.data.given)
+        return (*self.remainders.at(self.widths), *self.motor)
 
     @property
     def chosen(self) -> Chosen:
@@ -100,7 +103,7 @@ class Set:
         own = [
             (effect.name, (effect, nonlinear)) for effect, nonlinear in (*self.remainders.items, *self.causes)
         ]
-        fixed = fit.data.given
+        fixed = self.motor
         precision, pull = fit.prior(fixed)
         # What a parameter on its bound would explain beyond it counts for no set.
         held, steps = fit.on_bounds(self.chosen if self.widths else fixed)
@@ -133,11 +136,12 @@ class Set:
         ).valued()
 
     def polished(self, rounds: int = 2) -> Set:
-        """Moved to the best nonlinear values of all causes, parameters and sizes with them."""
-        if not any(free(effect) for effect, _ in self.causes):
+        """Moved to the best nonlinear values of motor and causes, parameters and sizes with them."""
+        if not any(free(effect) for effect, _ in (*self.motor, *self.causes)):
             return self
         fit, chosen = polished(self.fit, self.chosen, rounds)
-        better = replace(self, fit=fit, causes=chosen[len(self.given) :]).valued()
+        first, last = len(self.remainders.items), len(self.given)
+        better = replace(self, fit=fit, motor=chosen[first:last], causes=chosen[last:]).valued()
         return better if better.value > self.value else self
 
     def by_own_noise(self) -> float:
