@@ -211,8 +211,8 @@ def search(
             best = now if found is None else found
             if found is None:
                 break
-    rivals = _rivals(minima, every)
-    return Found(best, rivals, _beside_rivals(instead, minima[0], rivals, every), reach)
+    rivals = _rivals(minima, best)
+    return Found(best, rivals, _beside_rivals(instead, best, rivals), reach)
 
 
 def _tell(work: Work, half: float, turn: int, text: str) -> None:
@@ -235,23 +235,23 @@ def _plain(instead: Instead) -> Instead:
     return {name: odds for name, odds in instead.items() if max(odds.values()) < -_PLAINLY}
 
 
-def _rivals(minima: list[Set], every: LinearisedFit) -> tuple[Set, ...]:
-    """Other minima of the parameters than the best that do nearly as well with the same causes on all rows.
+def _rivals(minima: list[Set], best: Set) -> tuple[Set, ...]:
+    """The best set at other minima of the parameters, where it is nearly as likely.
 
-    There log odds are as many times those on some rows.
+    Of the minima on some rows those are tried that are near there, on all rows.
     """
-    best, *others = minima
-    least = best.value + math.log(1.0 - NAMED) * best.fit.data.at.size / every.data.at.size
-    near = [one for one in others if one.value > least and one.names == best.names]
-    return tuple(one for one in near if _is_beyond_valley(best, one))
+    first, *others = minima
+    least = math.log(1.0 - NAMED)
+    near = [one for one in others if one.value > first.value + least and one.names == first.names]
+    there = [best.at(one.fit.parameters).settled() for one in near if _is_beyond_valley(first, one)]
+    return tuple(one for one in there if one.value > best.value + least and _is_beyond_valley(best, one))
 
 
-def _beside_rivals(instead: Instead, best: Set, rivals: Sequence[Set], every: LinearisedFit) -> Instead:
+def _beside_rivals(instead: Instead, best: Set, rivals: Sequence[Set]) -> Instead:
     """The same, where none in a cause's place may be as likely with the parameters of a rival."""
-    times, found = every.data.at.size / best.fit.data.at.size, dict(instead)
+    found = dict(instead)
     for name in instead.keys() & best.names:
-        values = [one.without(name).settled().value for one in rivals]
-        odds = [times * (value - best.value) for value in values]
+        odds = [one.without(name).settled().value - best.value for one in rivals]
         found[name] = {**instead[name], "": max([instead[name].get("", -math.inf), *odds])}
     return found
 
