@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hd_diag.arrays import Floats
 from hd_diag.diagnosis.detectability import NOT_PROVED, Detectability, testability
 from hd_diag.diagnosis.evidence.calibration import HINTED, LEAST_SIZE
-from hd_diag.diagnosis.evidence.kept_parameters import Kept, kept_parameters
+from hd_diag.diagnosis.evidence.kept_parameters import DISPLACEMENTS, Kept, kept_parameters
 from hd_diag.diagnosis.evidence.naming import standings
 from hd_diag.diagnosis.evidence.order_table import OrderRow
 from hd_diag.diagnosis.evidence.search import search
@@ -20,6 +21,7 @@ from hd_diag.diagnosis.evidence.unexplained import Unexplained, unexplained, wit
 from hd_diag.diagnosis.extension import encoder_zeros, extended_model
 from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.fit.fit_parameters import GROUPS, groups
 from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.fit.motor_torque import less_motor
@@ -233,8 +235,7 @@ def diagnose(
     rms, gain = measured_gain(record, test, which, without, measured, every, rng)
     work.tell(0.8, "using all data")
     whole = measured.at(settle(replace(every, whiten=fit.whiten), chosen, 2, learn=False))
-    # As of an average whose parts disagree: Birge, Phys. Rev. 40 (1932).
-    wider = rms.misfit.value if rms.misfit.suspected else 1.0
+    wider = _wider(rms, configured)
     parameters, spread = kept.spread(whole, found.rivals, found.datum_reach)
     trustworthy = not found.ambiguous and not fit_parameters.at_bound(parameters, configured)
     drive = fit_parameters.drive_of(parameters, configured)
@@ -246,11 +247,11 @@ def diagnose(
         record,
         configured,
         findings,
-        Refit(drive, parameters, wider**2 * spread, trustworthy),
+        Refit(drive, parameters, np.outer(wider, wider) * spread, trustworthy),
         whole,
         rms,
         gain,
-        {name: wider * bound for name, bound in kept.physical(configured).items()},
+        {name: wider[GROUPS[name][0]] * bound for name, bound in kept.physical(configured).items()},
         left,
         model=extended_model(whole, configured, record),
         catalogue=catalogue,
@@ -273,6 +274,20 @@ def _starts(begun: LinearisedFit, test: Rows) -> list[LinearisedFit]:
     fit = fit.beside(begun.present)
     as_configured = fit_parameters.vector(data.configured, data.configured)
     return [fit] if record.by_current else [fit, fit.moved(as_configured)]
+
+
+def _wider(rms: Rms, configured: Drive) -> Floats:
+    """By how much deviations of the parameters (p,) are more than the noise makes them, where more is left.
+
+    As of an average whose parts disagree (Birge, Phys. Rev. 40, 1932). What displacements do is within turns
+    of the input: there what is slow is not left.
+    """
+    left = rms.misfit.value if rms.misfit.suspected else 1.0
+    found = np.full(fit_parameters.count(configured), left)
+    found[[number for name in DISPLACEMENTS for number in groups(configured).get(name, ())]] = min(
+        left, max(rms.gear, 1.0)
+    )
+    return found
 
 
 def _described(record: Record, lines: list[Unexplained], rms: Rms, wanders: bool) -> tuple[Unexplained, ...]:

@@ -104,9 +104,9 @@ class Answer:
 
     @property
     def vague(self) -> bool:
-        """Whether a displacement that is not plain may be a part of what is left, or undo a cause."""
-        left = self.diagnosis.misfit
-        return bool(left and left.suspected)
+        """Whether a displacement that is not plain may be a part of what is left at the gear's lines."""
+        rms = self.diagnosis.rms
+        return bool(rms and rms.misfit.suspected and not rms.gear < MISFIT)
 
     @cached_property
     def changes(self) -> list[Change]:
