@@ -224,14 +224,20 @@ def first_words(answer: Answer) -> str:
 
 
 def _misfit(answer: Answer) -> list[str]:
-    left = answer.diagnosis.misfit
-    if left is None or not left.suspected or (left.measured and not left.certain):
+    rms = answer.diagnosis.rms
+    left = rms.misfit if rms else None
+    if rms is None or left is None or not left.suspected or (left.measured and not left.certain):
         return []
     if not left.certain:
         return [
             "whether the model describes this record cannot be determined: "
             f"{left.low:.1f} to {left.value:.1f} times the noise is left, "
             "and too little of the motion repeats to tell"
+        ]
+    if rms.gear < MISFIT:
+        return [
+            "the model describes the gear's lines in this record, but not what is slower than an input turn: "
+            f"{rms.slow:.1f} times the noise is left there"
         ]
     text = "the model does not describe this record"
     if not answer.diagnosis.record.has_torque:
