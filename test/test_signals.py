@@ -289,7 +289,7 @@ def test_check_knows_the_fields_of_ros_own_types(tmp_path: Path) -> None:
     file = tmp_path / "a.yaml"
     file.write_text("hd_diag: {ros__parameters: {joint_1: {input: {field: postion}}}}")
     result = hd_diag("check", file)
-    said = "joint_1.input: sensor_msgs/msg/JointState has no field 'postion'; the nearest is 'position'"
+    said = f"{file}: joint_1.input.field: sensor_msgs/msg/JointState has no field 'postion'; the nearest is"
     assert_one_line_error(result, said)
 
 

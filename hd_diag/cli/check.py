@@ -20,7 +20,7 @@ def check(config_file: str, json_file: str | None) -> None:
     """Do what ``hd-diag check`` is asked for."""
     config = configured(config_file)
     for joint in config.joints:
-        check_fields(joint)
+        check_fields(config_file, joint)
     found = {joint.name: assess(config, joint) for joint in config.joints}
     content = {"schema": "hd_diag/check/1", "valid": True, "parameters": dict(config.flat)}
     if write_json(json_file, content | {"joints": {name: each.content() for name, each in found.items()}}):
@@ -29,8 +29,8 @@ def check(config_file: str, json_file: str | None) -> None:
         tell(f"{config_file}: valid")
 
 
-def check_fields(joint: JointConfig) -> None:
-    """Refuse a signal whose type is ROS 2 Jazzy's own and has no such field; others are known by bags."""
+def check_fields(config_file: str, joint: JointConfig) -> None:
+    """Refuse a file's signal whose type is ROS 2 Jazzy's own and has no such field; bags know others."""
     if not joint.mapped:
         return
     from hd_diag.messages.field_path import path_in  # types of messages take their time, and most need none
@@ -41,7 +41,7 @@ def check_fields(joint: JointConfig) -> None:
             try:
                 path_in(jazzy(), signal.type_name, signal)
             except ValueError as error:
-                raise Problem(f"{name}: {error}") from error
+                raise Problem(f"{config_file}: {name}.field: {error}") from error
 
 
 def describe(joint: JointConfig, assessed: Assessment) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -50,7 +51,7 @@ def table_columns(path: Path) -> TableColumns:
         raise RecordError(f"{path}: has no rows of numbers: is it a table?")
     values = _values(len(text.header), rows)
     number = _time_column(text.header, values)
-    names = [_name(text.header, k) for k in range(len(text.header))]
+    names = _names(text.header)
     shown, time = "", np.arange(len(rows), dtype=np.float64)
     if number is not None:
         given = _unit_of("time", text.header[number])
@@ -108,13 +109,18 @@ def _unit_of(role: str, name: str) -> str:
     return ""
 
 
-def _name(header: Sequence[str], number: int) -> str:
-    """What to call a column in `--columns`: its name without its unit, its number where that is not plain."""
-    given = IN_HEADER.fullmatch(header[number])
-    plain = given["name"] if given else header[number]
-    others = [found["name"] if (found := IN_HEADER.fullmatch(each)) else each for each in header]
-    is_plain = plain and plain.strip() == plain and not _AMBIGUOUS & set(plain) and others.count(plain) == 1
-    return plain if is_plain and not plain.isdecimal() else str(number + 1)
+def _names(header: Sequence[str]) -> list[str]:
+    """What to call columns in `--columns`: names without units, numbers where those are not plain."""
+    given = map(IN_HEADER.fullmatch, header)
+    names = [found["name"] if found else name for found, name in zip(given, header, strict=True)]
+    counts = Counter(names)
+    plain = (counts[name] == 1 and _is_plain(name) for name in names)
+    return [name if is_so else str(k) for k, (name, is_so) in enumerate(zip(names, plain, strict=True), 1)]
+
+
+def _is_plain(name: str) -> bool:
+    """Whether a name can stand in `--columns`, where a number is that of a column."""
+    return name.strip() == name != "" and not _AMBIGUOUS & set(name) and not name.isdecimal()
 
 
 def _field(topic: Topic, name: str, shown: str, time: Floats, values: Floats, tag: str) -> NumericField:
@@ -135,4 +141,5 @@ def _field(topic: Topic, name: str, shown: str, time: Floats, values: Floats, ta
 def _tags(header: Sequence[str]) -> list[str]:
     """Numbers in names that distinguish joints; empty where a number is alone."""
     numbers = ["" if name.isdecimal() else "".join(re.findall(r"\d+", name)[:1]) for name in header]
-    return [number if numbers.count(number) > 1 else "" for number in numbers]
+    counts = Counter(numbers)
+    return [number if counts[number] > 1 else "" for number in numbers]
