@@ -205,6 +205,11 @@ def test_a_wrong_ratio_fails_on_request_at_once(tmp_path: Path) -> None:
     [
         ({}, ["--columns", "time=time,input=nothing,output=output"], "has no column 'nothing'"),
         ({}, ["--columns", "time=time,input"], "--columns takes pairs like"),
+        (
+            {},
+            ["--columns", "time=time,output=a,output=b"],
+            "--columns names something twice: time=time,output=a",
+        ),
         ({}, ["--columns", "time=time,input=input"], "--columns needs output"),
         ({}, ["--columns", COLUMNS, "--joint", "elbow"], "no joint 'elbow' in the configuration"),
         (

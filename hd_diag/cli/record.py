@@ -97,6 +97,8 @@ def table_of(columns: str, divided: bool, rate: float, delimiter: str) -> Table:
     if len(delimiter) > 1 and delimiter not in _DELIMITERS:
         raise Problem(f"--delimiter takes one character, tab or space, not {delimiter!r}")
     names = {key.strip(): name.strip() for key, name in pairs}
+    if len(names) < len(pairs):
+        raise Problem(f"--columns names something twice: {columns}")
     return Table(names, divided, rate, _DELIMITERS.get(delimiter, delimiter))
 
 
