@@ -43,7 +43,7 @@ class Pool(Protocol):
         """Those that are there."""
 
     def send(self, worker: Any, function: Callable[[Any], Any], item: Any) -> Any:
-        """Give a worker a task; gives what stands for it."""
+        """Give a worker a task and return its handle."""
 
     def done(self, at_work: Mapping[Any, Any], patience: float) -> list[tuple[Any, Any]]:
         """Of tasks with their workers those that have ended, with result or `Failure`; waits at most [s]."""
@@ -154,7 +154,7 @@ class ProcessPool:
                 return self._lanes[worker].submit(function, item)
 
     def done(self, at_work: Mapping[Future[Any], int], patience: float) -> list[tuple[Future[Any], Any]]:
-        """Tasks that have ended, with their outcomes; a lane whose process died gets another."""
+        """Tasks that have ended, with their outcomes; a lane gets another process if its own died."""
         outcomes: list[tuple[Future[Any], Any]] = []
         for future in wait(at_work, patience, FIRST_COMPLETED).done:
             error = future.exception()

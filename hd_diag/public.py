@@ -75,7 +75,7 @@ def gear(name: str | Mapping[str, Any] | None = None, /, **values: Any) -> Drive
 
 
 def mesh_state(drive: Drive, angle: npt.ArrayLike, torque: npt.ArrayLike) -> MeshState:
-    """Backlash and load of every tooth, as ``hd-diag mesh`` tells them.
+    """Backlash and load of every tooth, as ``hd-diag mesh`` gives them.
 
     Parameters
     ----------

@@ -77,7 +77,7 @@ def replaced(path: str | os.PathLike[str], *, overwrite: bool) -> Iterator[Path]
 
 
 def bag_files(folder: Path) -> list[Path]:
-    """Files of the bag in a folder, and nothing else that lies there; none where there is no folder."""
+    """The bag's files in a folder, without other files; empty if the folder does not exist."""
     own = re.compile(re.escape(folder.resolve().name) + r"_\d+\.(mcap|db3)|metadata\.yaml")
     return [file for file in (folder.iterdir() if folder.is_dir() else ()) if own.fullmatch(file.name)]
 

@@ -191,7 +191,7 @@ class McapFile:
         return is_due
 
     def has_reached(self, size: int, duration: float, log_time: int) -> bool:
-        """Whether it has a size [byte] or, at a log time [ns], a length [s]; 0 stands for none."""
+        """Whether it has reached a size [byte] or, at a log time [ns], a length [s]; 0 means no limit."""
         if self.start is None:
             return False
         if size:

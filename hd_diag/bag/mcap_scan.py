@@ -93,11 +93,11 @@ class Scan:
         self.walk()
 
     def read(self, offset: int, size: int) -> bytes:
-        """What stands at a place, also beside other readers; ValueError where the file was closed."""
+        """Bytes at a place, safe with other readers; ValueError if the file was closed."""
         return os.pread(self._file.fileno(), size, offset)
 
     def _peek(self, size: int) -> bytes:
-        """What stands at `end`, up to some bytes; read ahead, for records outside of chunks are small."""
+        """Some bytes at `end`, read ahead because records outside of chunks are small."""
         start = self.end - self._begin
         if not 0 <= start <= len(self._ahead) - size:
             start, self._begin, self._ahead = 0, self.end, self.read(self.end, _PEEKED)
@@ -192,7 +192,7 @@ class Scan:
         return Section(offset + RECORD.size + before, size, start, end, name, content_size, checksum)
 
     def find_chunk(self, start: int) -> int | None:
-        """Place of the next chunk record from `start` on whose sizes agree; None where there is none."""
+        """Place of the next chunk record from `start` on that has consistent sizes; None if there is none."""
         for window in range(start, self.size, _WINDOW):
             content = self.read(window, _WINDOW + 16)
             for match in _MAYBE_CHUNK.finditer(content, 0, _WINDOW + 9):
@@ -328,7 +328,7 @@ class Scan:
             self.keep(self.read(self.end, RECORD.size + length))
 
     def _add_message(self, length: int) -> None:
-        """Add the message outside of chunks that stands at `end` to those right before it."""
+        """Add the message outside of chunks at `end` to those directly before it."""
         _, _, channel, _, log_time, _ = MESSAGE.unpack(self._peek(MESSAGE.size))
         if length > LARGE:
             size = RECORD.size + length
@@ -344,7 +344,7 @@ class Scan:
 
 
 class _Stored:
-    """What stands in the file from a place on, up to an end [byte]."""
+    """Bytes of the file from a place to an end [byte]."""
 
     def __init__(self, scan: Scan, place: int, end: int) -> None:
         self._scan, self._place, self._end = scan, place, end

@@ -145,7 +145,7 @@ def _last_of(sections: Sequence[Section]) -> list[Section]:
 
 
 def _parted(section: Section, block: Block, row: int) -> tuple[list[Section], Section]:
-    """What of a section stands before a message of its block, and the rest."""
+    """The part of a section before a message of its block, and the rest."""
     place, size = section.part or (0, section.content_size)
     at = int(block.offset[row]) - MESSAGE.size
     if at == 0:

@@ -29,7 +29,7 @@ class Received(NamedTuple):
 
 @dataclass
 class _Part:
-    """Messages from one place on at which a replay can begin."""
+    """Messages from a place where a replay can begin."""
 
     start: int
     count: int = 0
@@ -92,7 +92,7 @@ class Memory:
         return gone
 
     def take(self) -> list[Received]:
-        """Remove and give the oldest messages; none where there are no more."""
+        """Remove and return the oldest messages; none if there are no more."""
         while self._parts and not self._parts[0].blocks:
             if len(self._parts) == 1:
                 self._parts.clear()

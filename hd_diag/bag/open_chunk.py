@@ -24,7 +24,7 @@ class OpenChunk:
         self.long: LongMessage | None = None  # content of the last message
 
     def grow(self, count: int) -> None:
-        """Have room for so many bytes more, whose values are to be set."""
+        """Make room for so many more bytes; the caller sets them."""
         self.size += count
         if self.size > len(self.data):
             self.data += bytes(self.size - len(self.data))

@@ -1,4 +1,4 @@
-"""Files that are no bags: what they are, by their first bytes, and what to do with them."""
+"""Files that are not bags: what they are, by their first bytes, and what to do with them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _TEXT = "is not an MCAP file but text; a table's name ends with .csv, .tsv or .t
 
 
 def told(head: bytes) -> str:
-    """What is wrong with a file that begins so and is no bag."""
+    """Why a file with these first bytes is not a bag."""
     if not head:
         return "is empty"
     for begin, what in _BEGINS.items():

@@ -41,7 +41,7 @@ class Place:
             file.unlink()
 
     def began(self, file: McapFile) -> None:
-        """Keep the first file locked where there is no folder for that."""
+        """Keep the first file locked if there is no folder to lock."""
         if self._lock < 0:
             self._lock = file.held()
 
@@ -52,7 +52,7 @@ class Place:
         return self.path.with_name(f"{self.path.stem}_{number}.mcap") if number else self.path
 
     def free(self, number: int) -> int:
-        """The first number from one on whose name nobody has."""
+        """The first number from a given one on that has no file."""
         while os.path.lexists(self.name(number)):
             number += 1
         return number
@@ -74,7 +74,7 @@ class Place:
 
 
 class Disk:
-    """Makes the disk take what was written, in a thread, for it may take long; with a period of 0 never."""
+    """Syncs written data to the disk in a thread, because it may take long; a period of 0 means never."""
 
     def __init__(self, period: float) -> None:
         self._period, self._last = period, -float("inf")
@@ -105,7 +105,7 @@ class Disk:
 
 
 def _synced(fd: int, folder: Path) -> None:
-    """Wait until the disk has a file, whose descriptor is closed then, and its name in the folder."""
+    """Sync a file to the disk, close it, and sync its name in the folder."""
     try:
         os.fdatasync(fd)
     finally:

@@ -38,7 +38,7 @@ class RecorderClock:
             yield block[begin:end]
 
     def set_back(self, channel: Integers, log_time: Times) -> list[int]:
-        """Rows at which the clock was set back, of messages (n,) that follow those before."""
+        """Rows where the clock was set back, for messages (n,) in sequence."""
         found: list[int] = []
         begin = 0
         while (

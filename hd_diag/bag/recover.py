@@ -31,7 +31,7 @@ _Piece = tuple[dict[int, Topic], Block, int]  # topics, messages, place in the f
 
 @dataclass
 class FileRecovery:
-    """What became of one storage file: its size and what of it could not be read [byte], messages saved.
+    """Result for one storage file: its size and unreadable bytes [byte], messages saved.
 
     Unverified are messages saved that no checksum covers. Lost for certain are messages that the file counts
     and that were not read, or that belong to no topic; `problems` says in one line each what is wrong.
@@ -163,7 +163,7 @@ def _copy(
     *,
     packed: bool,
 ) -> dict[tuple[str, str], Topic]:
-    """Write the messages whose times can be and whose topics are known; these are given by name and type."""
+    """Write the messages that have possible times and known topics (name and type)."""
     here = set(np.unique(block.channel).tolist())
     known = {number: topics[number] for number in here & topics.keys() if _is_defined(topics[number])}
     for topic in known.values():
@@ -276,7 +276,7 @@ def _salvage_mcap(path: Path, report: FileRecovery, stack: ExitStack) -> Iterato
 
 
 def _verify(paths: list[Path], count: int, progress: Callable[[], None]) -> None:
-    """Read the result, whose checksums must hold, and count it; a result that is wrong loses its end."""
+    """Read the result, check its checksums and count it; a wrong result loses its end."""
     try:
         found = 0
         for path in paths:

@@ -137,7 +137,7 @@ def surplus(folder: LogFolder, most_bytes: int, most_age: float, own: Sequence[P
 
 
 def delete(file: Path, own: Sequence[Path] = ()) -> None:
-    """Delete a file of a bag, whose metadata forget it; its folder goes with the last one.
+    """Delete a file of a bag and its entry in the metadata; the last one takes the folder with it.
 
     Of a writer's `own` files the writer keeps the metadata. Raises BagError where it cannot be deleted.
     """

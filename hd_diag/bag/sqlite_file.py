@@ -84,7 +84,7 @@ class SqliteFile:
                 self.topics[number].count = count
 
     def blocks(self, numbers: Sequence[int] | None) -> Iterator[Block]:
-        """Messages of some topics in the order of time, or of all as they stand; BagError where damaged.
+        """Messages of some topics in order of time, or all in stored order; BagError if damaged.
 
         Where the recorder's clock was set back, messages of after it come behind those of before. Of all
         topics those above `LARGE` are given without their content, where Python can read that bit by bit
@@ -111,7 +111,7 @@ class SqliteFile:
             raise self._error(exc) from exc
 
     def _some(self, cursor: sqlite3.Cursor) -> Iterator[Block]:
-        """The rows of a query, not too many at once and no more than a few megabytes; a long one alone."""
+        """The rows of a query in portions of a few megabytes; a long row comes alone."""
         rows, size = list[tuple[int, int, bytes]](), 0
         for number, time, found, row in cursor:
             content = too_long(found) if isinstance(found, int) else found

@@ -64,7 +64,7 @@ def _registered(known: Definition) -> Typestore:
 
 
 def _types(text: str, known: Definition) -> Typesdict:
-    """Types of a definition; each part of IDL stands for itself."""
+    """Types of a definition; each part of IDL is independent."""
     if known.encoding == "ros2msg":
         return get_types_from_msg(text, known.type_name)
     first, *parts = _PART.split(text)

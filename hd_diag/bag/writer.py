@@ -115,7 +115,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         return dict(counts)
 
     def has_reached(self, size: int, duration: float, log_time: int) -> bool:
-        """Whether the open file has a size [byte] or, at a log time [ns], a length [s]; 0 stands for none."""
+        """Whether the open file has a size [byte] or, at a log time [ns], a length [s]; 0 means no limit."""
         return self._file.has_reached(size, duration, log_time)
 
     def split(self) -> None:
@@ -371,7 +371,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._file, self._number = file, number
 
     def _finish(self) -> None:
-        """Write the end of the file, whose messages are all written."""
+        """Write the end of the file after its last message."""
         self._file.stop()
         found = metadata(self._files, self._streams.values())
         if not self._file.is_whole:

@@ -30,7 +30,7 @@ def check(config_file: str, json_file: str | None) -> None:
 
 
 def check_fields(config_file: str, joint: JointConfig) -> None:
-    """Refuse a file's signal whose type is ROS 2 Jazzy's own and has no such field; bags know others."""
+    """Refuse a file's signal if ROS 2 Jazzy's own type lacks its field; only bags know other types."""
     if not joint.mapped:
         return
     from hd_diag.messages.field_path import path_in  # types of messages take their time, and most need none

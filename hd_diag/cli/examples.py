@@ -1,4 +1,4 @@
-"""Files that are no part of the package: installed under share/hd_diag, or beside it in its sources."""
+"""Files outside the package: installed under share/hd_diag, or next to it in the sources."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ class Target(click.Path):
 
 
 class BagTarget(Target):
-    """A bag that a verb writes: a file, or a folder, whose name has no ending of a file."""
+    """A bag that a verb writes: a file, or a folder, which has no file ending."""
 
     def __init__(self) -> None:
         super().__init__(folders=True)

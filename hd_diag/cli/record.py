@@ -175,5 +175,5 @@ def judge_each(
 
 
 def not_judged(joint: str, error: Exception) -> dict[str, Any]:
-    """JSON of a joint whose record cannot be judged."""
+    """JSON of a joint with a record that cannot be judged."""
     return {"schema": "hd_diag/not_judged/1", "joint": joint, "error": str(error)}

@@ -130,7 +130,7 @@ def _mapping(joints: list[dict[str, Any]]) -> str:
 
 
 def _described(reader: BagReader, urdf: Path | None) -> tuple[str, list[Transmission], list[str]]:
-    """Where the robot's description is, its transmissions, and what of it cannot be used."""
+    """Path of the robot's description, its transmissions, and its unusable parts."""
     source = ""
     try:
         if urdf:
@@ -151,7 +151,7 @@ def _describe(
     problems: list[str],
     configured: Sequence[JointConfig],
 ) -> None:
-    """Add what a description tells: ratios of the joints, and where they contradict what is known."""
+    """Add the joints' ratios from a description, and where they contradict what is known."""
     ratios, warnings = {each.joint: each for each in found}, [*problems]
     for joint in result["joints"]:
         each = ratios.get(joint["tag"]) or ratios.get(joint["name"])

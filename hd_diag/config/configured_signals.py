@@ -27,7 +27,7 @@ _TYPE = re.compile(r"([A-Za-z]\w*)/(?:msg/)?([A-Za-z]\w*)", re.ASCII)
 
 
 def spelled_out(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Parameters with ``input: velocity`` written as what it stands for; ConfigError for another word."""
+    """Parameters with ``input: velocity`` expanded to its mapping; ConfigError for another word."""
     found = dict(given)
     for name in [n for n in found if n.endswith(".input") and not isinstance(found[n], Mapping)]:
         value, joint = found.pop(name), name.removesuffix(".input")

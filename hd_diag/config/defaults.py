@@ -143,7 +143,7 @@ def resolved(page: Page, width: Width = ()) -> dict[str, Value]:
 
 
 def scaled(drive: Drive) -> dict[str, Value]:
-    """Limits and tolerances that suit a drive: the example drive's, which go with its size and torque."""
+    """Limits and tolerances for a drive: the example drive's, scaled with size and torque."""
     factors = _factors(drive)
     own = {p.name: (DEFAULTS[p.name], factors[p.scale]) for p in JOINT_PARAMETERS if p.scale}
     return {name: value if k == 1.0 else rounded(value * k) for name, (value, k) in own.items()}

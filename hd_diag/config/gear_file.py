@@ -43,7 +43,7 @@ _SCALES = {
 
 
 def text(config: Config, joint: JointConfig, assessed: Assessment, command: str) -> str:
-    """Text of the file for a joint with a page; the command is the one that writes it."""
+    """Text of the file for a joint with a page, with the command that writes it."""
     given = {name: config.given.get(f"{joint.name}.{name}") for name in DEFAULTS}
     assert assessed.page is not None
     kept = {*resolved(assessed.page), *(name for name, value in given.items() if value is not None)}
@@ -88,7 +88,7 @@ def assumed(joint: JointConfig) -> str:
 
 
 def width_in_words(geometry: Geometry) -> str:
-    """How wide the teeth are, how long the cup, and how many sections stand for them."""
+    """Width of the teeth, length of the cup, number of sections."""
     if geometry.sections == 1:
         return "the middle section stands for the width"
     length = (

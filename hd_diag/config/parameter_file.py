@@ -70,7 +70,7 @@ def read(path: str | Path) -> dict[str, Any]:
 
 
 def sections(path: str | Path) -> list[Any]:
-    """Names of the nodes for which a file holds something; raises ConfigError where it is no YAML of ROS."""
+    """Names of the nodes with a section in a file; raises ConfigError if it is not YAML of ROS."""
     document = _document(path)
     if document is None:
         return []
@@ -80,7 +80,7 @@ def sections(path: str | Path) -> list[Any]:
 
 
 def for_any_node(path: str | Path) -> str:
-    """The text of a file in which the section of ``hd_diag`` is that of every node, ``/**``.
+    """The text of a file with the section of ``hd_diag`` renamed to that of every node, ``/**``.
 
     All else stays as it is written. Raises ConfigError where it is no YAML of ROS.
     """
@@ -101,7 +101,7 @@ def is_for(section: str, node: str) -> bool:
 
 
 def parse_value(text: str) -> Any:
-    """A single value as it stands in a parameter file; raises ConfigError where it is no YAML."""
+    """A single value written as in a parameter file; raises ConfigError if it is not YAML."""
     try:
         return yaml.load(text, _Loader)
     except yaml.YAMLError as error:

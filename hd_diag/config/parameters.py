@@ -172,7 +172,7 @@ def checked(name: str, value: Any, parameter: Parameter) -> Value:
 
 
 def shown(value: Any) -> str:
-    """A value as an error tells it: one line, cut off where it is long."""
+    """A value as an error message shows it: one line, cut if long."""
     try:
         text = ascii(value)
     except (ValueError, RecursionError):  # a number of thousands of digits; lists in lists in lists

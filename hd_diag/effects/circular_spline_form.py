@@ -1,4 +1,4 @@
-"""The circular spline is out of round: what its slots do that stand nearer or farther out."""
+"""The circular spline is out of round: the effect of slots at other radii."""
 
 from __future__ import annotations
 

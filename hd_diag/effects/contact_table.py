@@ -261,7 +261,7 @@ class ContactTable:
 
     @cached_property
     def _begin(self) -> tuple[Integers, int]:
-        """For each flank the first torque node at which it bears as the torque rises (+) or falls (-).
+        """For each flank the first torque node where it carries load as the torque rises (+) or falls (-).
 
         As one index into an array (side, node, angle), flank after flank, with the number of nodes; the last
         node is for flanks that never bear.

@@ -225,7 +225,7 @@ def contact_weights(
 
 
 def greatest_torque(drive: Drive, torque: Floats) -> float:
-    """Largest torque at which a record's contacts are solved [N m], from its torque, shape (n,)."""
+    """Largest torque for solving a record's contacts [N m], from its torque, shape (n,)."""
     return max(float(np.max(np.abs(torque), initial=0.0)), _LEAST_LIMIT * drive.rated_torque)
 
 

@@ -187,7 +187,7 @@ def sample_interval(signals: Signals) -> float:
 
 
 def _turning_points(torque: Floats, swing: float) -> Floats:
-    """Torques at which it turns back by more than a swing: rainflow counting's reversals [N m]."""
+    """Torques where it reverses by more than a swing: rainflow counting's reversals [N m]."""
     if not torque.size:
         return np.empty(0)
     low = high = float(torque[0])

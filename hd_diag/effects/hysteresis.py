@@ -43,7 +43,7 @@ class Hysteresis(Effect):
         return None, 0.0, (0.0,) * _ELEMENTS.size
 
     def advance(self, state: State, signals: Signals, nonlinear: Values) -> Stepped:
-        """Let the bend and the elements, whose mean counts, follow; see :meth:`Effect.advance`."""
+        """Update the bend and the elements, which are averaged; see :meth:`Effect.advance`."""
         torque = signals.torque
         if not torque.size:
             return np.empty((0, 2)), state

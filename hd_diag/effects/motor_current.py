@@ -51,7 +51,7 @@ class MotorCurrent(MeshTorque):
         return np.where(np.arange(self.size) == _LOADED, 0.0, coefficients + np.eye(self.size)[0])
 
     def torque_step(self, state: State, signals: Signals, nonlinear: Values) -> Stepped:
-        """The rate is that of a speed behind a first-order lag; see :meth:`MeshTorque.torque_step`."""
+        """Rate of a speed after a first-order lag; see :meth:`MeshTorque.torque_step`."""
         if not signals.size:
             return np.empty((0, self.size)), state
         speed, torque = signals.forward_speed, signals.torque

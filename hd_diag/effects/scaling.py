@@ -1,4 +1,4 @@
-"""How sizes that make sense go with the gear: lengths with its module, torques with its rated torque."""
+"""How plausible sizes scale with the gear: lengths with its module, torques with its rated torque."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ class ToothDamage(Effect):
         return np.asarray(self.slopes(signals, coefficients, nonlinear) @ coefficients), state
 
     def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
-        """Slots and teeth whose pulses fit a residual best, of all; without one the first of each."""
+        """Slots and teeth with the pulses that fit a residual best; without a residual the first of each."""
         geometry = signals.contact.drive.mesh.geometry
         trials = geometry.circular_spline_teeth + geometry.flexspline_teeth
         if residual is None:

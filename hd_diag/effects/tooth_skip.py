@@ -23,7 +23,7 @@ class ToothSkip(Effect):
         return np.where(signals.time >= nonlinear[0], pitch, 0.0)[:, None]
 
     def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
-        """Moments at which a step fits a residual best; without one that of the greatest torque [s]."""
+        """Times where a step fits a residual best; without a residual the time of the greatest torque [s]."""
         count = signals.size
         if residual is None or count < 4:
             greatest = [int(np.argmax(np.abs(signals.torque)))] if count else []

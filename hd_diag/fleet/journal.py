@@ -20,7 +20,7 @@ _PAGE_NAME = re.compile(r"[\w.-]+_[0-9a-f]{16}\.html", re.ASCII)
 
 
 class Journal:
-    """Results by their keys, one line of JSON each with a checksum, appended and synchronised as they come.
+    """Results by key: one line of JSON with a checksum each, appended and synchronised at once.
 
     A line that is cut off or has changed counts as `lost`: its result is not there. A fresh journal forgets
     what it holds. Only one run at a time can have it. Raises FleetError where it cannot be read or written,
@@ -71,7 +71,7 @@ class Journal:
 
 
 def _checksum(text: bytes) -> bytes:
-    """The end of a line whose beginning this is."""
+    """The end of a line that begins with this."""
     return b', "crc32": %d}' % crc32(text)
 
 

@@ -213,7 +213,7 @@ def amplitude_std(fit: LinearisedFit, cause: Cause) -> float:
 
 
 def readable(value: Any) -> Any:
-    r"""A value with valid Unicode only: bytes of a file name that are no text become ``\udcXX``."""
+    r"""A value with valid Unicode only: bytes of a file name that are not text become ``\udcXX``."""
     if isinstance(value, str):
         return value.encode("utf-8", "backslashreplace").decode()
     return [readable(item) for item in value] if isinstance(value, list) else value

@@ -105,7 +105,7 @@ def _trend(trend: Trend) -> dict[str, Any]:
 
 
 def moment(time: float) -> str | None:
-    """A time [s since 1970] in ISO 8601; None where it is no date."""
+    """A time [s since 1970] in ISO 8601; None if it is not a date."""
     try:
         return datetime.fromtimestamp(time, timezone.utc).isoformat(timespec="seconds")
     except (ValueError, OverflowError, OSError):
@@ -154,7 +154,7 @@ def _drift(trend: Trend) -> str:
 
 
 def day(time: float) -> str:
-    """A time [s since 1970] to the minute, UTC; "never" where it is no date."""
+    """A time [s since 1970] to the minute, UTC; "never" if it is not a date."""
     text = moment(time)
     return text[:16].replace("T", " ") if text else "never"
 

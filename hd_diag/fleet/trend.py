@@ -127,7 +127,7 @@ def _tested(trend: Trend, penalty: float, rng: np.random.Generator) -> Trend:
 
 
 def least_values(tests: int) -> int:
-    """Least number of values with which the clearest step is reported among so many tests.
+    """Least number of values needed to report the clearest step among so many tests.
 
     Of the n! orders of n values split in the middle, 2 (n/2)!² are as clear as the clearest: p is at least 2
     / (n over n/2).
@@ -266,7 +266,7 @@ def _crossing(series: Series, line: Any, rng: np.random.Generator) -> tuple[floa
     first, second = first[later], second[later]
 
     def reached(value: Floats) -> float:
-        """Time at which the Theil–Sen line of values reaches the limit; inf where it never does."""
+        """Time when the Theil–Sen line of values reaches the limit; inf if it never does."""
         slope = float(np.median((value[second] - value[first]) / (time[second] - time[first])))
         start = float(np.median(value) - slope * np.median(time))
         return (series.limit - start) / slope if slope > 0.0 else math.inf

@@ -1,1 +1,1 @@
-"""A drive from its catalogue page: similar to one whose teeth are known, as stiff as the page says."""
+"""A drive from its catalogue page: similar to one with known teeth, with the page's stiffness."""

@@ -1,4 +1,4 @@
-"""Gears whose catalogue page is known by name, and what a gear of some size can have.
+"""Gears with known catalogue pages, by name, and possible values for a gear of some size.
 
 The table beside this module holds component sets HFUC and CSG (cup), HFUS and SHG (hollow shaft) of Harmonic
 Drive SE, sizes 11 to 90: facts of the maker's catalogue as tabulated in AimanHaidar/harmonic-drive-selector,

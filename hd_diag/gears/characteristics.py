@@ -214,7 +214,7 @@ def _order_2(mesh: Mesh, eccentricity: float, torque: float) -> float:
 
 
 def _eccentricity_of_overlap(mesh: Mesh, overlap: float) -> float:
-    """The eccentricity at which the lobes overlap so far at the worst wave generator angle [m].
+    """The eccentricity that gives this overlap at the worst wave generator angle [m].
 
     That is where it stands across the long axis; by bisection.
     """

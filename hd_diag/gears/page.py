@@ -45,7 +45,7 @@ class Page(NamedTuple):
 
     @property
     def torques(self) -> Floats:
-        """Torques (8,) at which a drive is compared with the page [N m]: from T1/10 to 2 T2."""
+        """Torques (8,) for comparing a drive with the page [N m]: from T1/10 to 2 T2."""
         t1, t2 = self.t1, self.t2
         return np.array([0.1 * t1, 0.25 * t1, 0.5 * t1, t1, 0.5 * (t1 + t2), t2, 1.5 * t2, 2.0 * t2])
 

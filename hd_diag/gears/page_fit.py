@@ -83,7 +83,7 @@ def of_page(known: Mesh, scale: float, teeth: int, page: Page, width: Width = ()
 
 
 def _free(start: Mesh, step: float) -> tuple[float, float]:
-    """Shift of the slots at which the lobes neither overlap nor have clearance [m]; overlap by shift [-]."""
+    """Shift of the slots that gives neither overlap nor clearance [m]; overlap by shift [-]."""
 
     def overlap(shift: float) -> float:
         mesh = replace(start, geometry=moved(start.geometry, shift))

@@ -136,7 +136,7 @@ class Walk:
 
 
 def aligned(place: int, size: int) -> int:
-    """The next place at which a number of a size may stand."""
+    """The next place for a number of a size, by alignment."""
     return (place - 4 + size - 1) // size * size + 4
 
 

@@ -116,7 +116,7 @@ def _element(store: Typestore, owner: str, step: PathStep, name: str) -> tuple[A
 
 
 def stamp_path(store: Typestore, type_name: str) -> Path | None:
-    """Where the time of a message stands: in its header, or as a time of its own; None without."""
+    """Place of a message's time: in its header, or a time of its own; None without."""
     for field, (kind, what) in store.fielddefs[type_name][1]:
         if kind == Nodetype.NAME and what in (_HEADER, _TIME):
             return (PathStep(field), *([PathStep("stamp")] if what == _HEADER else []))

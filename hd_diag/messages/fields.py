@@ -27,7 +27,7 @@ _CODES = dict(zip(("i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f4", "f8"), 
 
 
 class _Layout(NamedTuple):
-    """Messages of one size: bytes (m,) that are as in the template; places and types of numbers by key.
+    """Messages of one size: bytes (m,) equal to the template; places and types of numbers by key.
 
     `known` are those bytes of the template; `unpack` and `time` read the numbers and the stamp's two.
     """
@@ -75,7 +75,7 @@ class FieldReader:
     def columns(
         self, payload: Bytes | Sequence[bytes | memoryview], received: Times
     ) -> tuple[list[JointStates], list[Rejection]]:
-        """Signals of messages; times of reception [ns] (n,) stand for stamps where a message has none."""
+        """Signals of messages; times of reception [ns] (n,) replace missing stamps."""
         columns: list[JointStates] = []
         rejected: list[Rejection] = []
         for rows, index in by_size(payload):

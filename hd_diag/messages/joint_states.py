@@ -128,7 +128,7 @@ class JointStateDecoder:
         return sorted(columns, key=_first_row) if len(columns) > 1 else columns, sorted(rejected)
 
     def _rows(self, rows: Bytes, index: Times, columns: list[JointStates], rejected: list[Rejection]) -> None:
-        """Decode messages of one size: those of known layouts, and of others as they come."""
+        """Decode messages of one size, of known and of new layouts."""
         known = self._layouts.setdefault(rows.shape[1], []) if len(rows) else []
         for layout in [*known]:
             rows, index = _take(layout, rows, index, columns, rejected)
@@ -214,7 +214,7 @@ def _column_of(names: tuple[str, ...], name: str) -> int:
 
 
 def _place(signal: Signal) -> tuple[int, int | str]:
-    """Number of the block in which a signal stands, and its index there."""
+    """Number of a signal's block, and its index there."""
     (field, index), *more = path_in(jazzy(), JOINT_STATE, signal)
     if more or field not in JointStates._fields[4:7] or index is None:
         raise ValueError(f"{signal.field!a} of {JOINT_STATE} is not one of position, velocity, effort")

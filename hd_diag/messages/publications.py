@@ -91,7 +91,7 @@ def temperature_topic(joint: str) -> str:
 
 
 def resolved(topic: str, node: str = "/hd_diag") -> str:
-    """Full name of a topic of the node; ``~`` stands for the node's name."""
+    """Full name of a topic of the node; ``~`` means the node's name."""
     return node + topic[1:] if topic.startswith("~") else topic
 
 

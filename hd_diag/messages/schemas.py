@@ -57,7 +57,7 @@ def serialize(message: Any, type_name: str) -> bytes:
 
 
 def too_long(size: int) -> bytes:
-    """What stands for a message of so many bytes that was not read: it could fill the memory."""
+    """Stand-in for a message of so many bytes that was not read because it could fill the memory."""
     return _TOO_LONG + size.to_bytes(8, "little")
 
 

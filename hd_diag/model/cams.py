@@ -85,7 +85,7 @@ class FourForces:
 
 @dataclass(frozen=True)
 class TwoDiscs:
-    """A ring lies on two discs, whose centres are an offset from the middle, and is free between them [m].
+    """A ring on two discs with centres an offset from the middle; it is free between them [m].
 
     The disc radius is that of the neutral layer where it lies on a disc.
 

@@ -74,7 +74,7 @@ def contacts(mesh: Mesh, wave_generator_angle: Floats, compiled: bool = False, l
 def _contacts(
     mesh: Mesh, turn: Floats, solve: Callable[[Floats, Floats], Any], lobes: int
 ) -> tuple[Any, ...]:
-    """What `Contact` holds. Poses are those of :mod:`hd_diag.model.kernel.poses`, without its shortcuts."""
+    """Values of a `Contact`. Poses are those of :mod:`hd_diag.model.kernel.poses`, without its shortcuts."""
     c, geometry, turned = mesh.data.constants, mesh.geometry, turn[:, None]
     near = reach(mesh.data, abs(mesh.eccentricity) + abs(mesh.runout))
     columns, start = width(c, near), mesh.arc_offset / c.curve_radius - turned * c.turn_ratio

@@ -90,12 +90,12 @@ class FlankChain:
 
     @property
     def start(self) -> float:
-        """Height at which it begins [m]."""
+        """Height where it begins [m]."""
         return self.numbers[0]
 
     @property
     def end(self) -> float:
-        """Height at which it ends [m]."""
+        """Height where it ends [m]."""
         return self.numbers[-2]
 
     def covers(self, low: float, high: float) -> bool:
@@ -240,7 +240,7 @@ def _biarc(start: complex, way: complex, end: complex, last_way: complex) -> lis
 
 
 def _radius(point: complex, way: complex, other: complex) -> float:
-    """Signed radius of the arc through two points whose direction is known at the first; 0 of a line."""
+    """Signed radius of the arc through two points with a given direction at the first; 0 for a line."""
     across = ((other - point) * (1j * way).conjugate()).real
     curvature = -2.0 * across / abs(other - point) ** 2  # positive where it turns away from the normal
     return 0.0 if abs(curvature * (other - point)) < _STRAIGHT else 1.0 / curvature

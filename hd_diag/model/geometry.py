@@ -124,7 +124,7 @@ class Geometry:
 
     @cached_property
     def slot_end(self) -> float:
-        """Height above the datum at which the slot's wall meets the slot's axis, or a chain ends [m]."""
+        """Height above the datum where the slot's wall meets the slot's axis, or a chain ends [m]."""
         slot = self.circular_spline_slot
         if isinstance(slot, FlankChain):
             return slot.end

@@ -1,4 +1,4 @@
-"""A mesh: geometry, what assembly and material add to it, and where the wave generator then stands."""
+"""A mesh: geometry, assembly and material, and the place of the wave generator."""
 
 from __future__ import annotations
 

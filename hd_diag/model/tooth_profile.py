@@ -61,7 +61,7 @@ class DoubleArc:
 
     @cached_property
     def addendum_joint(self) -> Point:
-        """Point at which the outer arc passes into the tangent [m]."""
+        """Point where the outer arc meets the tangent [m]."""
         return (
             self.addendum_center[0] + self.addendum_radius * self.normal[0],
             self.addendum_center[1] + self.addendum_radius * self.normal[1],
@@ -69,7 +69,7 @@ class DoubleArc:
 
     @cached_property
     def dedendum_joint(self) -> Point:
-        """Point at which the tangent passes into the inner arc [m]."""
+        """Point where the tangent meets the inner arc [m]."""
         return (
             self.dedendum_center[0] - self.dedendum_radius * self.normal[0],
             self.dedendum_center[1] - self.dedendum_radius * self.normal[1],

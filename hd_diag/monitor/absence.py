@@ -14,7 +14,7 @@ _SHOWN, _LONGEST = 8, 40  # names, and characters of one
 
 
 def absence_of(joint: str) -> str:
-    """Name of the fact that tells why a joint has no sample, where the surroundings know."""
+    """Name of the fact that says why a joint has no sample, if the caller knows."""
     return f"absence.{joint}"
 
 
@@ -41,7 +41,7 @@ def absence(joint: Joint, window: Window, lately: Sequence[Arrived]) -> str:
 
 
 def missing(wanted: str, names: Iterable[str], output: str = "") -> str:
-    """That a name does not arrive, and the one that may be meant, or those that do arrive."""
+    """Says that a name does not arrive, and names the likely one or those that do."""
     shown = [visible(name, _LONGEST) for name in names]
     near, wanted = nearest(wanted, names), visible(wanted, _LONGEST)
     if near and near == output:

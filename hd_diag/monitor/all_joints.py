@@ -98,7 +98,7 @@ class Monitor:
         return [*angles(received, errors, self._names), *self._teeth(received, samples)]
 
     def clock_set_back(self, stamp: int) -> None:
-        """Restart the streams of joints whose last stamp is after `stamp` [ns]: the clock was set back."""
+        """Restart the streams of joints with a last stamp after `stamp` [ns]: the clock was set back."""
         self.streams.clock_set_back(stamp)
 
     def temperature(self, joint: str, value: float) -> None:

@@ -78,7 +78,7 @@ def _of_joint(joint: Joint) -> dict[str, Any]:
 
 
 def _pair(pair: Any) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names and keys of messages; TypeError where they are no texts."""
+    """Names and keys of messages; TypeError if they are not texts."""
     names, keys = pair
     "".join([*names, *keys])
     return tuple(names), tuple(keys)

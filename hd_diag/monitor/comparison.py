@@ -1,4 +1,4 @@
-"""Samples of all joints beside their predictions, kept until a report tells of them."""
+"""Samples of all joints with their predictions, kept until the next report."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class Comparison:
         self._records = np.array([frame + place for frame, place in both], _DRIVE)
 
     def errors(self, samples: Aligned, known: Floats = _NOTHING, speed: Floats | None = None) -> Errors:
-        """Errors of samples, whose predictions [rad] and speeds [rad/s] a model may know already."""
+        """Errors of samples, with predictions [rad] and speeds [rad/s] if a model has them already."""
         last = self.count + samples.row.size
         if last > self._kept.size:
             kept, self._kept = self.kept, np.empty(2 * last, _SAMPLE)

@@ -185,7 +185,7 @@ def _faults(
 
 
 def _log_faults(facts: Mapping[str, str]) -> list[Fault]:
-    """What is wrong with the log: of no joint, so it never stands in place of a joint's own fault."""
+    """What is wrong with the log. It belongs to no joint and never replaces a joint's own fault."""
     state, warning = facts.get("log_state", ""), facts.get("log_warning", "")
     texts = [f"log {state}"] if state.startswith("failed") else []
     return [("LOG_FAILED", 1, text) for text in [*texts, *([f"log: {warning}"] if warning else [])]]

@@ -1,4 +1,4 @@
-"""Errors of samples, compiled: imported late, for it imports numba."""
+"""Errors of samples, compiled; imported late because it imports numba."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Orders of the residual, compiled: imported late, for it imports numba."""
+"""Orders of the residual, compiled; imported late because it imports numba."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def _add(
 def _close(
     gram: Floats, moment: Floats, window: Floats, waves: Floats, output: Floats, means: Floats
 ) -> None:
-    """Take what a window tells: each order's wave, by the side that the torque loads, and the mean."""
+    """Add a window's results: each order's wave, by the side that the torque loads, and the mean."""
     kept = math.exp(-min(window[2] / FORGOTTEN_WAY, window[3] / FORGOTTEN_TIME))
     loaded = window[4] / window[5] if window[5] > 0.0 else 0.0
     side = 1 if loaded > _LOADED else 2 if loaded < -_LOADED else 0
@@ -125,7 +125,7 @@ def _close(
 
 @part
 def _inverse(gram: Floats) -> Floats:
-    """Inverse of normal equations, whose lower triangle and first number, the samples, are given.
+    """Inverse of normal equations, given by their lower triangle with the number of samples first.
 
     By Gauss and Jordan: for numpy's inverse numba loads scipy.linalg, which takes 17 MB.
     """

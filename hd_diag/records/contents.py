@@ -101,7 +101,7 @@ class AnglePair(NamedTuple):
 
     @property
     def counted(self) -> bool:
-        """Whether the input counts: its slope then tells no ratio."""
+        """Whether the input is in encoder counts; its slope then gives no ratio."""
         return self.input.unit == _COUNTS
 
 

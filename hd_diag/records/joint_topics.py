@@ -21,7 +21,7 @@ _LONGEST = 60  # of a name
 
 
 class JointTopics:
-    """What of a bag is read for some joints, whose signals are given by joint.
+    """What is read of a bag for some joints, given the signals of each.
 
     Signals without a topic of their own are looked for in the topics `usual`, by default all with joint
     states but a node's outputs and those that signals are mapped to. `names` gives the full names of the
@@ -149,7 +149,7 @@ def joints_in(reader: BagReader) -> frozenset[str]:
 
 
 def held(reader: BagReader) -> str:
-    """Topics of a bag with their types, what is wrong with it, and what tells more, for an error."""
+    """Topics of a bag with their types, its problems and where to look, for an error."""
     every = [*reader.topics, *reader.foreign]
     topics = [f"{visible(t.name, _LONGEST)} ({visible(t.content, _LONGEST)})" for t in every]
     content = f"it has {listed(topics, _SHOWN)}; see hd-diag topics" if topics else "it has no topics"

@@ -32,7 +32,7 @@ class Transmission(NamedTuple):
 
 
 def transmissions(text: str) -> tuple[list[Transmission], list[str]]:
-    """Transmissions of a description, and what of it cannot be used.
+    """Transmissions of a description, and its unusable parts.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def contradictions(found: Iterable[Transmission], joints: Iterable[JointConfig])
 
 
 def _of(transmission: Element) -> list[Transmission]:
-    """The joints of a transmission; ValueError where a reduction is no number."""
+    """The joints of a transmission; ValueError if a reduction is not a number."""
     actuators = transmission.findall("actuator")
     turns = [_reduction(each) for each in actuators]
     found = []

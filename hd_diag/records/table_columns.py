@@ -41,7 +41,7 @@ class TableColumns(NamedTuple):
 
 
 def table_columns(path: Path) -> TableColumns:
-    """Columns of a file's first rows; RecordError where it is no table."""
+    """Columns of a file's first rows; RecordError if it is not a table."""
     try:
         text = text_table(path)
         rows = [cells for _, _, cells in islice(text.rows(), _MOST_ROWS)]

@@ -153,7 +153,7 @@ def columns_of(
 
 
 def _own_rows(found: dict[str, Floats], stamps: Stamps) -> Stamps:
-    """Take out, in place, what a second publisher gave; what is told of the rows is returned."""
+    """Remove the rows of a second publisher in place; returns what to say about them."""
     roles = [name for name in _USUAL if name in found and name not in ("time", "temperature")]
     measured = {name: found[name] for name in roles if np.isfinite(found[name]).any()}
     within = [

@@ -87,7 +87,7 @@ class TextTable:
 
 
 def text_table(path: Path, delimiter: str = "") -> TextTable:
-    """How a file is laid out, with a delimiter that is given or found; RecordError where it is no text."""
+    """Layout of a file, with a given or found delimiter; RecordError if it is not text."""
     if path.exists() and not path.is_file():
         raise RecordError(f"{path}: is no file but a pipe, a device or a folder: save the table as a file")
     encoding = _encoding(path)

@@ -122,7 +122,7 @@ class Session:
         refused: Sequence[tuple[int, str]],
         heard: Times | None = None,
     ) -> None:
-        """Take messages, as `Monitor.mixed_states`; temperatures in them stand for all of them."""
+        """Take messages, as `Monitor.mixed_states`; a temperature in them is valid for all of them."""
         for states in shapes:
             for joint, column in temperatures(states).items():
                 self.monitor.temperature(joint, float(column[-1]))

@@ -1,4 +1,4 @@
-"""What was found, a card for every cause and parameter, and how the joint stands beside its limits."""
+"""What was found: a card for every cause and parameter, and the joint compared with its limits."""
 
 from __future__ import annotations
 

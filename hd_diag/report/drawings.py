@@ -1,4 +1,4 @@
-"""The pictures of a report, each with its title and a caption that tells what it shows, with its numbers."""
+"""The pictures of a report, each with a title and a caption that gives its numbers."""
 
 from __future__ import annotations
 

@@ -263,7 +263,7 @@ def _marks(diagnosis: Diagnosis) -> list[Mark]:
 
 
 def _own_orders(angle: Floats, part: Floats, name: str) -> list[Mark]:
-    """Peaks that hold a good share of a cause's part; none where it is no sum of a few waves."""
+    """Peaks that hold a good share of a cause's part; none if it is not a sum of a few waves."""
     order, strength = spectrum(angle, part, _ORDERS[1])
     width = line_width(angle, _LEAK)
     least, marks = _LINE_SHARE * float(np.var(part)), []

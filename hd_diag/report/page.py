@@ -124,7 +124,7 @@ def used(text: str) -> dict[str, str]:
 
 @dataclass
 class Links:
-    """Links from where terms come first on a page to their meaning, whose ids begin with ``term-``."""
+    """Links from the first use of each term on a page to its meaning; ids begin with ``term-``."""
 
     linked: set[str] = field(default_factory=set)
 

@@ -273,7 +273,7 @@ def _fitted(found: Solution) -> dict[str, Chosen]:
 def ladder(
     diagnosis: Diagnosis, nominal: Floats, fitted: list[LinearisedFit], rng: np.random.Generator
 ) -> list[Rung]:
-    """Rungs from the configured model, whose residual [rad] is given, over the benches' to the extended one.
+    """Rungs from the configured model (residual [rad]), over the benches', to the extended one.
 
     Stretches are drawn for the intervals.
     """

@@ -20,7 +20,7 @@ _SHOWN = 5  # topics, nodes
 def absences(
     node: Node, inputs: Sequence[tuple[SignalInput, Reader]], joints: Sequence[JointConfig]
 ) -> dict[str, str]:
-    """Facts about joints of whose input's topic nothing comes, or nothing of the name that is looked for."""
+    """Facts about joints that get nothing from their input's topic, or nothing with the configured name."""
     found, now = {}, time.monotonic()
     by_topic = {each.source.topic: (each, reader) for each, reader in inputs}
     for joint in joints:

@@ -132,7 +132,7 @@ class DiagnosisRun:
 
 
 def _configuration(stem: Path, config: Config) -> str:
-    """Text of a parameter file as the node has it now; models as they are in force lie beside it."""
+    """Text of a parameter file with the node's present values; the models in force lie next to it."""
     flat = dict(config.flat)
     for joint in config.joints:
         if joint.model is not None:

@@ -186,7 +186,7 @@ class DiagnosticNode(Node):
 
     @property
     def _taken(self) -> int:
-        """Messages taken from DDS; those of a fast clock stand between samples there."""
+        """Messages taken from DDS, with those of a fast clock between the samples."""
         return self._waiting.taken + self._others
 
     def close(self) -> None:

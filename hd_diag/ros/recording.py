@@ -86,7 +86,7 @@ class Recording:
         return turning
 
     def look(self) -> None:
-        """Show the log's state; begin a diagnosis whose files are there, and take in one that has ended."""
+        """Show the log's state, begin a diagnosis once its files exist, and collect one that has ended."""
         state = self._log.state
         if state != self._shown:
             self._shown = state
@@ -129,7 +129,7 @@ class Recording:
         return str(self._log.bags[-1])
 
     def _diagnose_by_itself(self, after: float) -> None:
-        """As `_diagnose_now`, unless a diagnosis is under way; why there is none is told in its state."""
+        """As `_diagnose_now`, unless a diagnosis is running; the state says why there is none."""
         if self._run.is_busy:
             return
         try:

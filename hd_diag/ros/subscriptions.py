@@ -66,7 +66,7 @@ def sources(config: Config, full_name: Callable[[str], str]) -> list[SignalTopic
 
 
 def check_types(config: Config) -> None:
-    """Raise ConfigError for the first signal whose type is not installed or has no such field."""
+    """Raise ConfigError for the first signal with a type that is not installed or lacks its field."""
     for joint, role, signal in _signals(config):
         parameter = f"{joint}.{OWNERS[role]}"
         try:

@@ -83,7 +83,7 @@ class Motion:
         return forward + [(-speed, torque) for speed, torque in forward if self.both_directions]
 
     def stamps(self, start: int, first: int, last: int) -> Times:
-        """Time of the samples from `first` to before `last` [ns]; `start` is that of sample 0."""
+        """Times of the samples from `first` to before `last` [ns]; `start` is the time of sample 0."""
         count = np.arange(first, min(last, self.samples))
         elapsed: Times = np.rint(count * (SECOND / self.sample_rate)).astype(np.int64)
         return start + elapsed

@@ -175,7 +175,7 @@ class Alignment:
         self.arrived, self._last = {}, None
 
     def clock_set_back(self, stamp: int) -> None:
-        """Restart the streams of joints whose last stamp is after `stamp` [ns]: the clock was set back."""
+        """Restart the streams of joints with a last stamp after `stamp` [ns]: the clock was set back."""
         before = self.joints["stretch"].copy()
         kernel().begin_after(self.joints, stamp)
         self.joints["clock_jumps"] += self.joints["stretch"] - before

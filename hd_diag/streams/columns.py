@@ -56,7 +56,7 @@ class JointStates(NamedTuple):
         return JointStates(*head, values[0], values[1], values[2], values[3], self.keys, self.unstamped)
 
     def misfit(self, number: int) -> str:
-        """What is wrong with one of `BLOCKS` whose values are not those of the names; empty for others."""
+        """What is wrong with one of `BLOCKS` if its values do not match the names; empty otherwise."""
         block, count = self.blocks[number], len(self.names)
         if block is None or block.shape[1] == count:
             return ""

@@ -74,7 +74,7 @@ def align(
 
 @entry_point
 def begin_after(joints: Any, stamp: int) -> None:
-    """Restart the streams of joints whose last stamp is after `stamp` [ns]."""
+    """Restart the streams of joints with a last stamp after `stamp` [ns]."""
     for j in range(joints.size):
         if max(joints[j].input_stamp, joints[j].output_stamp) > stamp:
             _begin(joints[j])
@@ -145,7 +145,7 @@ def _count_turns(joint: Any, encoders: Any, given: int, value: Floats) -> None:
 
 @part
 def _with_velocity(joint: Any, given: int, value: Floats) -> int:
-    """What is given where an input's velocity stands for its angle: checked in its place."""
+    """Which values are given; an input velocity takes the place of the angle in the checks."""
     if joint.velocity_ratio != 0.0 and given & _SPEED:
         value[0] = value[3]
         given |= _INPUT
@@ -295,7 +295,7 @@ def _runs(row: Times, stamp: Times, paired: Integers, joint: Integers, chosen: I
 def begun(
     stamp: Times, joint: Integers, paired: Integers, period: int, offset: Times, last: Times
 ) -> Integers:
-    """Numbers of samples (n,) at which a period [ns] of their joint begins; paired ones are passed over.
+    """Numbers of samples (n,) that begin a period [ns] of their joint; paired ones are skipped.
 
     The joints' periods begin earlier by an `offset` (k,) [ns]; `last` (k,) are the numbers of the last ones,
     which change.

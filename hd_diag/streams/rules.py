@@ -1,4 +1,4 @@
-"""Limits of `alignment`'s rules, and what stands for each joint between calls."""
+"""Limits of `alignment`'s rules, and the state of each joint between calls."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Signals as robots publish them: where in which messages a quantity of a joint stands, in which unit."""
+"""Signals as robots publish them: message, field and unit of a joint's quantity."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def is_unit(text: str) -> bool:
 
 @dataclass(frozen=True)
 class Signal:
-    """Where a quantity stands.
+    """Place of a quantity in a message.
 
     Topic, empty for every one with joint states; type of its messages, as ``package/msg/Name``; path of the
     field, as `hd_diag.messages.field_path` has it; index of arrays that have none in the path; unit, with
@@ -151,7 +151,7 @@ def temperatures(states: JointStates) -> dict[str, Floats]:
 
 
 def temperature_changes(shapes: Sequence[JointStates]) -> Integers:
-    """Rows at which a temperature differs from the message before with the same signals."""
+    """Rows where a temperature differs from the last message with the same signals."""
     rows = [
         states.row[np.concatenate(([True], np.diff(column) != 0.0))]
         for states in shapes

@@ -112,7 +112,7 @@ class Share:
 
 
 def draw(population: Population, numbers: Floats) -> Assembly:
-    """The assembly that numbers (8,) between 0 and 1 stand for, one per factor of :data:`FACTORS`.
+    """The assembly for numbers (8,) between 0 and 1, one per factor of :data:`FACTORS`.
 
     Raises ValueError if it cannot be assembled.
     """
@@ -194,7 +194,7 @@ def yields(values: Floats, limits: Floats) -> tuple[Share, list[Share]]:
 
 
 def tolerance_at(share: Share, tolerances: Floats, target: float) -> float:
-    """Largest tolerance whose share reaches its target, linear between rising tolerances (t,) [m].
+    """Largest tolerance with a share that reaches its target, linear between rising tolerances (t,) [m].
 
     nan if even the least tolerance has less; the greatest if all have as much.
     """

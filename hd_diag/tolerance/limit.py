@@ -1,4 +1,4 @@
-"""The eccentricity or tilt at which a criterion is first exceeded, over all directions and input angles.
+"""The smallest eccentricity or tilt that exceeds a criterion, over all directions and input angles.
 
 A drive in sections may lean: what is looked for is then the displacement of the outermost section; a
 share comes from the tilt: 0 is an eccentricity alone, 1 a tilt alone, -0.5 half of each against each other.
@@ -98,7 +98,7 @@ class DisplacementLimit:
 
 
 def input_angle(drive: Drive, wave_generator_angle: float) -> float:
-    """Reported input angle [rad] at which the wave generator stands at theta_W [rad]."""
+    """Reported input angle [rad] for the wave generator angle theta_W [rad]."""
     return (wave_generator_angle - drive.frame.phase) / drive.frame.turning
 
 
@@ -127,7 +127,7 @@ def check_largest(drive: Drive, largest: float) -> None:
 def first_excess(
     drive: Drive, cup_torque: float, criterion: str, limit: float, largest: float, leaning: float = 0.0
 ) -> DisplacementLimit:
-    """The displacement at which a criterion is first exceeded, looked for up to a `largest` one [m].
+    """The smallest displacement that exceeds a criterion, searched up to a `largest` one [m].
 
     `leaning` is the tilt's share of it. The drive's own eccentricity and tilt do not count; its runout stays.
     The torque is that on the cup [N m].
@@ -219,7 +219,7 @@ def _crossing(
 def frontier(
     drive: Drive, cup_torque: float, limits: Mapping[str, float], largest: float, leaning: float
 ) -> dict[str, tuple[float, float]]:
-    """Eccentricity [m] and tilt [rad] at which each of some criteria is first exceeded, on a coarse grid.
+    """Smallest eccentricity [m] and tilt [rad] that exceed each of some criteria, on a coarse grid.
 
     As :func:`first_excess` for limits by the names of criteria, but straight between :data:`CHART_STEPS`
     displacements: for a chart. nan where a limit is not reached.
@@ -267,7 +267,7 @@ class _Search:
         return np.asarray(self._moments(size, _grid(*_SCAN)).max(axis=1))
 
     def exceeded(self, limit: float, scanned: Floats) -> float:
-        """The displacement at which a limit is first exceeded, nan if it is not."""
+        """The smallest displacement that exceeds a limit, nan if none does."""
 
         def excess(e: float) -> float:
             return min(self.worst(e).value, _MOST) - limit

@@ -92,7 +92,7 @@ class Question:
 
 @dataclass(frozen=True)
 class Interference:
-    """Eccentricity at which teeth first interfere [m], nan where they do not; three readings.
+    """Smallest eccentricity with interfering teeth [m], nan if there is none; three readings.
 
     `across`: the paper's own arrangement (:func:`limit.across_long_axis`), whose least backlash without
     eccentricity is `clearance` [m]. `any_direction`: the same lobe, over all directions and angles.

@@ -49,7 +49,7 @@ class Listener(Node):
         self._executor.spin_once(timeout_sec=seconds)
 
     def diagnose(self) -> None:
-        """Ask the nodes that are watched for a diagnosis; what they answer is told."""
+        """Ask the watched nodes for a diagnosis; their answers are shown."""
         there = dict(self.get_service_names_and_types())
         self._watch.answers.clear()
         for node in self._watch.nodes():

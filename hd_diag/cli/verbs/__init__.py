@@ -34,7 +34,7 @@ _LONGEST_NAME = 200  # characters of a file's name that are shown
 
 
 class _Verbs(click.Group):
-    """A group whose errors are one line on stderr."""
+    """A group that reports errors in one line on stderr."""
 
     def resolve_command(self, context: click.Context, words: list[str]) -> Any:
         try:

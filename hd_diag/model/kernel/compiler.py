@@ -73,7 +73,7 @@ def is_kept(function: Any) -> bool:
 
 
 def part(function: Kernel) -> Kernel:
-    """Compile as part of entry points, in whose machine code it is kept."""
+    """Compile as part of entry points, which keep the machine code."""
     return cast(Kernel, numba.njit(nogil=True, error_model="numpy")(function))
 
 

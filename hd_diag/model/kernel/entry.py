@@ -52,7 +52,7 @@ def torsion_table(mesh: MeshData, turn: Floats, eccentricity: Complexes, torque:
 
 @entry_point
 def torsion_of_flanks(rotation: Floats, stiffness: Floats, torque: Floats) -> Floats:
-    """The same (n, q) of flanks whose closing rotations and stiffness (n, 2, flanks) are given."""
+    """The same (n, q) for flanks with given closing rotations and stiffness (n, 2, flanks)."""
     plus, minus = side_room(rotation.shape[2]), side_room(rotation.shape[2])
     beta = np.empty((rotation.shape[0], torque.size))
     for i in range(beta.shape[0]):

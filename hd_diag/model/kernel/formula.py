@@ -16,7 +16,7 @@ FORMULAS: list[Callable[..., Any]] = []
 
 
 def formula(function: Callable[..., Result]) -> Callable[..., Result]:
-    """Have a function part of compiled kernels, as it stands; choices in it are made by `choose`."""
+    """Make a function part of compiled kernels, unchanged; its choices use `choose`."""
     FORMULAS.append(function)
     return function
 

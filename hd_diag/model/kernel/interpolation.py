@@ -209,7 +209,7 @@ def interpolate(
 
 @part
 def interpolate_at(place: Any, turn: Floats, torque: Floats, beta: Floats, count: int) -> None:
-    """As `interpolate` for the first of the samples, by a table whose place and size a record has."""
+    """As `interpolate` for the first sample, with the table's place and size from a record."""
     shape = place.rows, place.columns
     breakpoints = _array(_at(place.breakpoints), shape, np.int16)
     values = _array(_at(place.values), shape, np.int16)

@@ -30,7 +30,7 @@ _SMALL_SINE = 0.125
 
 
 class Side(NamedTuple):
-    """Flanks of one side that can bear: torsion at which each begins [rad], stiffness [N m/rad], column."""
+    """Flanks of one side that can carry load: torsion where it begins [rad], stiffness [N m/rad], column."""
 
     start: Floats
     gain: Floats
@@ -38,7 +38,7 @@ class Side(NamedTuple):
 
 
 class Flanks(NamedTuple):
-    """Both sides, and the torsions at which the first flank of either loses contact [rad]."""
+    """Both sides, and the torsions where the first flank of each loses contact [rad]."""
 
     plus: Side
     minus: Side

@@ -108,7 +108,7 @@ class MeshData(NamedTuple):
 
 @formula
 def reach(mesh: MeshData, displacement: float) -> float:
-    """Greatest angle from a lobe at which a tooth's tip can lie beyond the slots' tip radius [rad].
+    """Greatest angle from a lobe where a tooth's tip can lie beyond the slots' tip radius [rad].
 
     At a displacement of the middle section, and in any section.
     """

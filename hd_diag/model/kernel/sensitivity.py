@@ -115,7 +115,7 @@ def _add_side(
 
 @part
 def _add_edge(work: Scratch, flanks: Side, edge: float, flank: int, gradient: Floats) -> None:
-    """Add one end of a true gap, whose middle is the torsion."""
+    """Add one end of a true gap; the torsion is its middle."""
     for j in range(flanks.start.size):
         if flanks.start[j] == edge:
             i = flanks.column[j]
@@ -127,7 +127,7 @@ def _add_edge(work: Scratch, flanks: Side, edge: float, flank: int, gradient: Fl
 
 
 class Pieces(NamedTuple):
-    """Pieces of the torsion over torque, rising: torque at which each begins, and what bears on it.
+    """Rising pieces of the torsion over torque: torque where each begins, and its loaded flanks.
 
     The sums over its flanks are, in columns: stiffness; stiffness times start; K d beta by every parameter
     at zero torsion; its change with the torsion. Flanks, + before -, have the same of their own; `order` are
