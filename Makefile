@@ -32,7 +32,7 @@ IN = AMENT_PREFIX_PATH='$(CURDIR)/.venv/$(1)' PATH="$(CURDIR)/.venv/$(1)/bin:$$P
 .NOTPARALLEL:
 
 help:
-	@echo "make demo     run the main job on a simulated joint (about a minute; the first time also installs)"
+	@echo "make demo     run the main job on a simulated joint (one to two minutes; the first time also installs and compiles, 3 minutes of computing)"
 	@echo "make test     linters, types, documentation and tests, on the newest numpy and on Ubuntu 24.04's (6 minutes)"
 	@echo "make test-all the same with all that takes long: whole challenges, fuzzing, fleets, colcon (half an hour)"
 	@echo "make docs     the documentation alone: docs/_build/html/index.html"
@@ -46,7 +46,7 @@ help:
 
 demo:
 	@$(ENVIRONMENT) demo '$(PYTHON)'
-	@echo "== hd-diag demo (about a minute)"
+	@echo "== hd-diag demo (one to two minutes)"
 	@$(call IN,demo) hd-diag demo $(ARGS)
 
 # The tests build the pages too (test/test_docs.py).
