@@ -8,6 +8,7 @@ import multiprocessing
 import os
 import resource
 import signal
+import sys
 import threading
 import time
 import warnings
@@ -196,6 +197,8 @@ def _begin(memory: int) -> None:
     warnings.simplefilter("ignore", RuntimeWarning)  # numpy's, of nan
     threading.Thread(target=_follow_parent, daemon=True).start()
     if memory:
+        # A task that does not fit in is told as a Failure; multiprocessing would print where it died.
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115
         resource.setrlimit(resource.RLIMIT_DATA, (memory, resource.getrlimit(resource.RLIMIT_DATA)[1]))
 
 

@@ -12,6 +12,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import fleet_tasks
+import numpy as np
 import pool_tasks
 import pytest
 from live import config
@@ -182,6 +183,14 @@ def test_a_worker_has_one_thread_and_this_process_what_it_had(monkeypatch: pytes
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of data are Linux's")
+def test_a_bound_that_no_task_fits_in_is_told_without_a_traceback(capfd: pytest.CaptureFixture[str]) -> None:
+    """Here the module of its function does not: a worker dies before it has the task."""
+    with ProcessPool(1, 10 << 20) as pool:
+        ((_, outcome),) = run(pool, np.square, [2.0])
+    assert isinstance(outcome, Failure)
+    assert capfd.readouterr().err == ""
+
+
 def test_memory_beyond_the_bound_is_a_failure_and_the_next_task_goes_on() -> None:
     bound = 1 << 30
     with ProcessPool(1, bound) as pool:
