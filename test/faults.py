@@ -290,11 +290,11 @@ an old log that cannot be deleted | node | LOG_FAILED, which hides no fault of a
 a fault of a joint that begins | node | with `log.mode: snapshot` the minutes before it are written
     test_node_recording.py::test_a_snapshot_holds_what_was_before_it_and_replays
 a diagnosis that is killed | node | told in `diagnosis_state`; the node lives
-    test_node_recording.py::test_a_diagnosis_that_is_killed_is_told_and_one_that_runs_ends_with_the_node
+    test_node_recording.py::test_diagnoses_that_are_killed_or_outlived
 a bit of the journal flipped | fleet | told; that result is judged again
     test_fleet_journal.py::test_a_result_that_has_changed_is_none
 a worker killed by its bag | fleet | an error in that row; the others go on
-    test_cli_fleet.py::test_a_bag_that_ends_its_worker_is_reported_and_tried_again_by_the_next_run
+    test_cli_fleet.py::test_a_bag_that_ends_its_worker_is_tried_again_next_run
 a FIFO, a socket or a device for a bag | fleet | an error in that row; not opened
     test_cli_fleet.py::test_what_is_no_file_is_reported_and_not_opened
 an address that is no scheduler's | fleet | code 2, one line
@@ -328,7 +328,7 @@ efforts or velocities fewer than names | node, bags | not read; what is mapped b
 a recorder's clock set back | bags | told; what comes after is another recording
     test_recorder_clock.py::test_a_record_begins_another_recording_there
 a message without a payload | node | subscribed again after 3.5 s; what is withheld counts as lost; a warning
-    test_node_losses.py::test_what_a_message_without_a_payload_holds_up_is_counted_and_the_rest_is_taken
+    test_node_losses.py::test_a_message_without_payload_is_counted_and_skipped
 more messages than the node can take | node | all are taken or counted as lost; a warning
     test_node_losses.py::test_all_of_a_flood_is_accounted_for_and_said
 requests that make no sense | node | answered or dropped; samples go on
@@ -356,7 +356,7 @@ a bit of the summary flipped | verbs on bags | told; the chunks are read
 a row or a message too long to be read | verbs on bags | left out; told with its size
     test_bag_foreign.py::test_a_row_that_was_too_long_is_told_with_its_size
 a limit of the memory (ulimit -v) that does not suffice | verbs | code 2, one line
-    test_memory.py::test_a_library_that_ends_a_process_for_a_lack_of_memory_is_told_in_one_line
+    test_memory.py::test_a_library_out_of_memory_is_one_line
 counts of an encoder for an angle | diagnose | code 2; tells the bits and what to write
     test_record.py::test_counts_of_an_encoder_are_left_to_a_finding
 a pipe for a table | diagnose, report, ripple, topics | code 2 at once
@@ -372,7 +372,7 @@ a record in pieces of a few samples | diagnose, report | code 2; says how many a
 an output angle that never moves | diagnose | code 2; says where it stands
     test_record.py::test_an_output_that_never_moves_is_refused
 an input faster than any drive, by its unit or its stamps | diagnose, report, ripple | code 2; asks for units
-    test_record.py::test_an_input_faster_than_any_drive_is_refused_before_anything_is_spread_over_its_turns
+    test_record.py::test_an_impossibly_fast_input_is_refused_early
 stdout or stderr that is closed or full | verbs | code 0 or 2, no more than one line
     test_cli.py::test_streams_that_are_closed_or_full
 a torque in another unit, such as N mm | diagnose | code 2; asks for its unit first

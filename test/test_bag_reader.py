@@ -350,7 +350,7 @@ def test_times_that_are_none_are_told(tmp_path, value):
         BagReader(file)
 
 
-def test_split_folder_is_read_in_order_with_files_that_metadata_does_not_know(tmp_path):
+def test_a_split_folder_with_wrong_metadata_is_read_in_order(tmp_path):
     block, stamps = rows(1200)
     with BagWriter(tmp_path / "bag", max_duration=0.1) as writer:
         writer.write_many("/j", JOINT_STATE, block, stamps)

@@ -83,7 +83,7 @@ def test_help_and_completion_import_nothing_that_is_slow() -> None:
     assert run.stdout == f"{len(cli.commands) + 2} []\n"
 
 
-def test_matrices_are_multiplied_in_one_thread_unless_the_user_says_otherwise(
+def test_blas_has_one_thread_unless_the_user_asks(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Threads of BLAS took a quarter of the CPU time of a diagnosis to wait for each other."""
@@ -125,9 +125,7 @@ def test_bash_completes_verbs_options_choices_and_files(shells: dict[str, str]) 
     assert (run.stdout.splitlines(), run.stderr) == (told, "")
 
 
-def test_zsh_and_fish_complete_the_value_of_an_option_with_an_equals_sign(
-    shells: dict[str, str], tmp_path: Path
-) -> None:
+def test_zsh_and_fish_complete_values_after_an_equals_sign(shells: dict[str, str], tmp_path: Path) -> None:
     """zsh completes in a terminal only: of its script it is seen that the option's name stays."""
     script = hd_diag("completion", "zsh").output
     assert "compset -P '--*='" in script
@@ -213,7 +211,7 @@ def test_mesh_as_driven_is_the_reaction() -> None:
     assert told["transmission_error"] < 0.0 < told["torsion"]
 
 
-def test_mesh_gives_sections_whose_least_backlash_and_summed_load_stand_beside(tmp_path: Path) -> None:
+def test_mesh_json_has_sections_and_their_sums(tmp_path: Path) -> None:
     assert "sections" not in mesh("--torque", "20")
     path = tmp_path / "wide.yaml"
     wide = {"joint_1.face_width": 11e-3, "joint_1.cup_length": 0.04, "joint_1.tilt.magnitude": 1e-3}

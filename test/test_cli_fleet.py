@@ -312,7 +312,7 @@ def test_robots_are_reported_apart(here: Runs, tmp_path: Path) -> None:
     assert_one_line_error(none, "--robot leg matches nothing")
 
 
-def test_pages_are_drawn_of_last_recordings_once_and_go_when_newer_ones_come(here: Runs) -> None:
+def test_pages_are_drawn_once_and_replaced_by_newer_ones(here: Runs) -> None:
     """Of what was judged without a page too; what is not the run's own stays."""
     here.judge(fleet_tasks.drawn)
     page, folder = here.folder / "week.html", here.folder / "week_joints"
@@ -369,7 +369,7 @@ def test_a_drift_is_reported_with_the_day_of_its_limit(here: Runs) -> None:
 @pytest.mark.parametrize(
     ("judge", "error", "times"), [(fleet_tasks.stuck_first, LATE, 1), (fleet_tasks.deadly_first, KILLED, 3)]
 )
-def test_a_bag_that_ends_its_worker_is_reported_and_tried_again_by_the_next_run(
+def test_a_bag_that_ends_its_worker_is_tried_again_next_run(
     elsewhere: Runs, judge: Any, error: str, times: int
 ) -> None:
     elsewhere.judge(judge)

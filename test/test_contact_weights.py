@@ -98,7 +98,7 @@ def test_moved_slots_and_slots_out_of_round(member: str, order: int) -> None:
     assert rms(found - expected) < TOLERANCE * rms(expected)
 
 
-def test_odd_pitch_errors_show_where_an_eccentricity_makes_the_lobes_unequal() -> None:
+def test_odd_pitch_errors_show_with_an_eccentricity() -> None:
     angle, torque = np.linspace(0.0, 2.0 * math.pi, 400), np.full(400, 20.0)
     centred = Drive(drives.mesh(), Kinematics(100.0), 56.0)
     even, odd = np.abs(weights(centred, angle, torque).harmonics("slot", (2, 3))).T

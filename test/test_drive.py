@@ -75,7 +75,7 @@ def test_summaries_of_the_load() -> None:
     assert (idle.loaded_pairs[0], idle.peak_load[0], idle.load_concentration[0]) == (0, 0, 1)
 
 
-def test_overlap_is_the_lost_motion_or_how_far_the_first_flanks_of_both_sides_interfere() -> None:
+def test_lost_motion_and_overlap_by_the_first_flanks() -> None:
     found = mesh_state(ALIGNED, ANGLES, np.zeros(ANGLES.size))
     assert not found.interference.any()
     assert_allclose(-found.overlap, found.lost_motion * 30.9e-3, rtol=0.01)  # contacts near the pitch radius
@@ -135,7 +135,7 @@ def table() -> TorsionMap:
     return build(ASTRAY.mesh, 40.0)
 
 
-def test_a_map_gives_the_same_within_its_bound_and_beyond_it_the_solution_is_exact(table: TorsionMap) -> None:
+def test_a_map_keeps_its_bound_and_beyond_it_is_exact(table: TorsionMap) -> None:
     torque = np.linspace(-2.0, 2.0, ANGLES.size) * table.torque_limit
     exact = transmission_error(ASTRAY, ANGLES, torque)
     found = transmission_error(ASTRAY, ANGLES, torque, table)

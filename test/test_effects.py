@@ -457,7 +457,7 @@ def test_scan_leaves_others_orders_alone(signals: Signals, order: float) -> None
     assert np.sum(left**2) > 0.9 * np.sum(line**2)
 
 
-def test_scan_lets_no_bearing_slip_beside_a_stronger_wave_that_goes_with_the_torque(signals: Signals) -> None:
+def test_no_bearing_slips_beside_a_stronger_loaded_wave(signals: Signals) -> None:
     """Its plain sum is nothing under torques of both signs, but what leaks from it is not."""
     effect, angle = EFFECTS["bearing_passage"], signals.wave_generator_angle
     weak, load = 0.2 * np.cos(10.2537 * angle), signals.torque / np.std(signals.torque)

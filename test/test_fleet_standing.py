@@ -81,7 +81,7 @@ def test_since_when() -> None:
     assert [state for _, state in one.history] == ["red", "green", "red", "not_judged", "red"]
 
 
-def test_the_worst_first_then_what_changed_then_what_is_nearest_to_its_limit() -> None:
+def test_joints_are_ordered_worst_first() -> None:
     rows = [
         row(30.0, joint="joint_1"),
         row(120.0, joint="joint_2"),

@@ -38,7 +38,7 @@ def test_rounding_stays_within_the_spread(value: float, spread: float) -> None:
     assert float(formatting.number(value, spread).replace("−", "-")) == pytest.approx(value, abs=0.5 * spread)
 
 
-def test_quantities_come_in_the_units_of_people_and_directions_with_their_turn() -> None:
+def test_quantities_in_usual_units() -> None:
     lag, swing = amplitude("pitch_2", "m", 1e-4, 1e-6, ""), direction("direction", "", 2)
     assert quantity(lag, 1.234e-6, 2e-8) == "1.23 ± 0.02 µm"
     assert quantity(swing, math.radians(-10.0), math.radians(3.0)) == "170 ± 3° (modulo 180°)"

@@ -284,7 +284,7 @@ def test_the_challenge_s_own_code_makes_the_same_teeth(design: Design) -> None:
     assert_allclose(*np.transpose(pairs), rtol=0.0, atol=0.1e-6)
 
 
-def test_scaling_everything_with_the_size_would_not_do_away_from_ratio_100() -> None:
+def test_scaling_with_the_size_alone_is_wrong_at_other_ratios() -> None:
     """What `check` is told by: both axes times 14/25 at ratio 50, where the teeth are 1.12 times as large."""
     right = of_page("14/50").flat
     wrong = {
@@ -429,7 +429,7 @@ def test_a_stiffness_that_is_not_the_page_s_and_torques_beyond_are_told() -> Non
 
 
 @pytest.mark.parametrize("name", SAMPLE)
-def test_no_gear_of_the_table_is_refused_and_a_third_or_three_times_is_the_edge(name: str) -> None:
+def test_gears_of_the_table_pass_and_six_times_off_is_refused(name: str) -> None:
     gear = table()[name]
     for column in ("k1", "k2", "k3", "t1", "t2"):
         unit = "N m/rad" if column.startswith("k") else "N m"
@@ -472,7 +472,7 @@ def test_what_is_given_beside_a_page_holds_and_the_rest_follows_it() -> None:
 @pytest.mark.parametrize(
     "width", [{"sections": 1}, {"face_width": 9e-3, "cup_length": 0.0}, {"cup_length": 0.05, "sections": 3}]
 )
-def test_a_width_that_is_given_beside_a_page_holds_and_the_curve_is_that_of_it(width: dict[str, Any]) -> None:
+def test_a_given_width_keeps_the_page_s_curve(width: dict[str, Any]) -> None:
     config = resolve({**of_page("25/80").given, **{f"joint_1.{name}": v for name, v in width.items()}})
     own = of_joint(config.flat, "joint_1")
     assert {name: own[name] for name in width} == width
@@ -679,7 +679,7 @@ def test_an_edited_file_is_not_overwritten_without_being_asked(tmp_path: Path) -
     assert load(out).joints[0].drive.rated_torque == 87.0
 
 
-def test_errors_of_eccentricities_are_a_table_as_they_are_far_from_linear() -> None:
+def test_errors_of_eccentricities_are_a_table() -> None:
     config = of_page("25/101")
     told, drive = assess(config, config.joints[0]), config.joints[0].drive
     angle = 2.0 * np.pi * np.arange(4001) / 4001

@@ -320,7 +320,7 @@ def test_overlap_is_judged_by_what_it_does_to_the_teeth() -> None:
             assert level == 0 or words in status.message
 
 
-def test_residual_is_about_its_mean_for_the_encoders_zero_is_nobodys_fault(life: Life) -> None:
+def test_residual_is_without_its_mean(life: Life) -> None:
     drive = life.monitor.config.joints[0].drive
     offset, wave = 0.01, 3e-5
     for i in range(200):
@@ -406,9 +406,7 @@ def test_rejected_samples_are_not_told_as_missed_too(life: Life) -> None:
 
 @pytest.mark.parametrize("jitter", [0.0, 0.02])
 @pytest.mark.parametrize("kept", [0.6, 0.45, 0.3, 0.15])
-def test_what_a_reader_that_falls_behind_lets_through_is_told_from_another_period(
-    life: Life, kept: float, jitter: float
-) -> None:
+def test_samples_lost_by_a_slow_reader_are_no_other_period(life: Life, kept: float, jitter: float) -> None:
     """From a full queue the oldest samples drop out: most are lost, the rest at steps of whole periods."""
     noise = np.random.default_rng(4).normal(0.0, jitter * MS, 6000).astype(np.int64)
     stamps = START + MS * np.arange(6000) + noise

@@ -144,7 +144,7 @@ def panels_of(panels: dict[str, dict[str, Any]], node: Any) -> list[str]:
     return panels_of(panels, node["first"]) + panels_of(panels, node["second"])
 
 
-def test_foxglove_layout_has_the_parts_of_an_exported_one_and_every_panel_once(made: Made) -> None:
+def test_foxglove_layout_is_complete(made: Made) -> None:
     assert set(made.foxglove) == {"configById", "globalVariables", "userNodes", "playbackConfig", "layout"}
     assert made.foxglove["globalVariables"] == made.foxglove["userNodes"] == {}
     assert {panel.split("!")[0] for panel in made.panels} <= KINDS
@@ -160,7 +160,7 @@ def test_foxglove_paths_take_something_from_real_messages(made: Made) -> None:
         assert len(found) == 1 or topic_of(path) != "/diagnostics" or not path.endswith(".value"), path
 
 
-def test_foxglove_plots_are_of_numbers_those_of_teeth_of_each_whole_flank(made: Made) -> None:
+def test_foxglove_plots_numbers_and_whole_flanks(made: Made) -> None:
     plotted = set()
     for panel in (made.panels[name] for name in made.panels if name.startswith("Plot!")):
         paths = [path["value"] for path in panel["paths"]]
@@ -293,7 +293,7 @@ AGGREGATOR = yaml.safe_load((FOLDER / "diagnostic_aggregator.yaml").read_text())
 STRANGERS = ("hd_diagnostics: battery", "hd_diag", "hd_diag_watch: x", "my hd_diag: joint_1", "camera: j", "")
 
 
-def test_the_aggregator_shows_this_node_s_joints_alone_and_waits_long_enough(
+def test_aggregator_shows_this_node_s_joints_alone(
     messages: dict[str, Any],
 ) -> None:
     """As a GenericAnalyzer decides, by how a name begins alone."""

@@ -115,7 +115,7 @@ def test_the_oldest_go_until_the_rest_is_within_the_size(tmp_path: Path, name: s
         assert messages_in(newest[0].parent) == sum(kept)
 
 
-def test_files_of_another_start_go_one_by_one_and_its_folder_with_the_last(tmp_path: Path) -> None:
+def test_old_files_go_one_by_one_then_their_folder(tmp_path: Path) -> None:
     before = log(tmp_path / "arm", 9, split_size=15_000)
     bag = Path(before.state.removeprefix("writing "))
     before.close()

@@ -189,7 +189,7 @@ def test_an_error_that_comes_from_itself_is_looked_at_once() -> None:
 
 
 @pytest.mark.parametrize("ended", ["os._exit(1)", "os._exit(127)", "os.abort()"])
-def test_a_library_that_ends_a_process_for_a_lack_of_memory_is_told_in_one_line(ended: str) -> None:
+def test_a_library_out_of_memory_is_one_line(ended: str) -> None:
     """Its own words are not shown: OpenBLAS leaves with 1 and three lines, the loader with 127."""
     code = f"from hd_diag.memory import watch_limit; import os; watch_limit(); os.write(2, b'words'); {ended}"
     assert limited(20_000_000, "-c", code) == (

@@ -130,9 +130,7 @@ def test_the_map_is_of_the_refitted_mesh(modelled: Config) -> None:
     assert monitor.joints["joint_1"].table is None
 
 
-def test_the_model_begins_anew_with_the_stream_and_another_is_in_force_at_once(
-    modelled: Config, tmp_path: Path
-) -> None:
+def test_a_model_restarts_with_the_stream_and_changes_at_once(modelled: Config, tmp_path: Path) -> None:
     """After a clock that was set back the same messages give the same again."""
     messages, monitor, topic = columns(200), Monitor(modelled), "~/transmission_error"
     first = errors(monitor, messages, [], topic)

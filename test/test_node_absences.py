@@ -64,7 +64,7 @@ def latest(rig: Any, joint: str, meanwhile: Any) -> str:
     return str(status.message) if is_told else ""
 
 
-def test_parameters_describe_their_ranges_and_names_are_fixed_as_mappings_are(tmp_path: Path) -> None:
+def test_parameter_descriptors_have_ranges_and_fixed_names(tmp_path: Path) -> None:
     """Tools draw a slider from a range; who writes a name to a running node is told that it stays."""
     config = resolve({"joints": ["elbow"]})
     with running(tmp_path, {"joints": ["elbow"], "diagnostics_rate": 20.0}) as rig:

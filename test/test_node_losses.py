@@ -32,7 +32,7 @@ def warned(rig: Rig, said: str) -> bool:
 
 @pytest.mark.usefixtures("ros")
 @pytest.mark.parametrize(("before", "rate", "least"), [(0, 1000.0, 0), (5, 100.0, 300)])
-def test_what_a_message_without_a_payload_holds_up_is_counted_and_the_rest_is_taken(
+def test_a_message_without_payload_is_counted_and_skipped(
     before: int, rate: float, least: int, tmp_path: Path
 ) -> None:
     """Fast DDS asks for it anew as long as its publisher keeps it, and withholds all that follow.

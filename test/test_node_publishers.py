@@ -24,7 +24,7 @@ STEPS = st.lists(st.tuples(st.sampled_from(("one", "other")), st.integers(1, 2**
 
 
 @given(STEPS, st.integers(0, 2**62))
-def test_publishers_of_different_joints_are_none_too_many_whatever_is_lost(
+def test_publishers_of_different_joints_are_no_second_publisher(
     steps: list[tuple[str, int]], begin: int
 ) -> None:
     numbers, last = Numbers(), {"one": 0, "other": begin}

@@ -132,9 +132,7 @@ def test_it_diagnoses_without_losing_a_sample(rig: Rig, player: Player) -> None:
     assert json.loads(heard[0].data) == result
 
 
-def test_a_diagnosis_that_is_killed_is_told_and_one_that_runs_ends_with_the_node(
-    rig: Rig, player: Player
-) -> None:
+def test_diagnoses_that_are_killed_or_outlived(rig: Rig, player: Player) -> None:
     pid = rig.process.popen.pid
     for number in (signal.SIGKILL, signal.SIGINT):
         player.play(10.0, 1, ())  # what a diagnosis before has looked at may be older than a snapshot is long

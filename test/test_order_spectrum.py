@@ -28,7 +28,7 @@ def test_the_width_of_a_line_is_one_over_the_turns() -> None:
         assert width * turns == pytest.approx(2.7, abs=0.3)
 
 
-def test_what_is_spread_over_turns_needs_no_more_memory_than_a_long_record() -> None:
+def test_memory_is_bounded_for_any_number_of_turns() -> None:
     """A thousand million turns: their bins alone would take 8 GB."""
     angle = np.linspace(0.0, 1e9 * TURN, 1000)
     tracemalloc.start()

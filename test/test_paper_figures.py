@@ -44,7 +44,7 @@ def test_every_claim_holds(teeth: Any, tooth: Any) -> None:
     assert [claim.text for claim in claims if not claim.holds] == []
 
 
-def test_interference_begins_where_it_was_published_and_the_example_drive_says_so() -> None:
+def test_interference_begins_where_published() -> None:
     """In a comment of its file: with the exact datum, and with the rounded one that the file has."""
     lines = (ROOT / "config" / "example_drive.yaml").read_text().splitlines()
     text = " ".join(line.lstrip("# ") for line in lines)
@@ -151,7 +151,7 @@ def test_loads_of_sections_over_the_width_are_the_whole_load() -> None:
     assert_allclose(np.fmin.reduce(found.backlash), whole.backlash[0], rtol=1e-12)
 
 
-def test_claims_hold_in_the_middle_of_a_cup_and_not_where_its_cone_presses() -> None:
+def test_claims_hold_in_the_middle_of_a_cup() -> None:
     """The middle of a cup is the paper's section; at the bottom teeth interfere by 4.56 um from the first."""
     cup = coned(3)
     bottom, middle = (

@@ -107,7 +107,7 @@ def test_remainders_are_drawn_over_what_they_follow() -> None:
     assert {"Function of torque [arcsec], over [N m]", "Line 2 [arcsec], over [N m]"} <= set(seen)
 
 
-def test_the_drawn_drives_labels_are_apart_and_teeth_interfere_between_lobe_and_eccentricity() -> None:
+def test_drawing_of_a_drive_has_readable_labels_and_its_interference() -> None:
     own = resolve({}).joints[0].drive
     figure = drive_picture(own)
     renderer = FigureCanvasAgg(figure).get_renderer()

@@ -266,7 +266,7 @@ def test_an_output_that_never_moves_is_refused(given: dict[str, np.ndarray], sti
 
 
 @pytest.mark.parametrize(("turns", "judged"), [(1.0, True), (200.0, True), (2000.0, False), (1e9, False)])
-def test_an_input_faster_than_any_drive_is_refused_before_anything_is_spread_over_its_turns(
+def test_an_impossibly_fast_input_is_refused_early(
     given: dict[str, np.ndarray], turns: float, judged: bool
 ) -> None:
     """A mean of 24 rad/s, that many times."""

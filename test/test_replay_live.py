@@ -149,9 +149,7 @@ def recorded(path: Path, seconds: float = 3.0) -> int:
 
 
 @pytest.mark.parametrize("rate", [pytest.param(1.0, marks=pytest.mark.slow), 4.0])
-def test_a_bag_played_live_gives_what_the_replay_gives_and_tells_what_was_dropped(
-    tmp_path: Path, rate: float
-) -> None:
+def test_a_bag_played_live_equals_its_replay(tmp_path: Path, rate: float) -> None:
     """In a loop too, where the clock jumps back."""
     bag, log, loops = tmp_path / "bag", tmp_path / "log.mcap", 3
     count = recorded(bag)

@@ -341,7 +341,7 @@ def section(text: str, number: int = 1) -> str:
     return text[text.index(f'<section id="joint{number}"') :].partition("</section>")[0]
 
 
-def test_the_same_numbers_are_the_same_page_and_a_small_one_with_what_the_diagnosis_says() -> None:
+def test_equal_numbers_give_an_equal_small_page() -> None:
     text = hostile_page()
     parts = (section(text, number).replace(f"joint{number}", "joint") for number in (1, 2))
     # Terms are explained once, and linked where they come first.
@@ -377,7 +377,7 @@ def test_every_joint_and_picture_is_told_with_ids_of_its_own() -> None:
         assert re.search(r"\d", told[picture["aria-describedby"] or ""])
 
 
-def test_nothing_out_of_a_bag_acts_on_the_page_which_forbids_all_but_its_own_style() -> None:
+def test_text_of_a_bag_does_nothing_on_the_page() -> None:
     text = hostile_page()
     read = Reader(text)
     assert {tag for tag, _ in read.tags} & {"script", "img", "iframe", "object", "link", "base"} == {"link"}

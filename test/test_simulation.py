@@ -84,7 +84,7 @@ def test_every_run_starts_and_ends_at_rest_and_reaches_its_level(motion: Motion)
         assert_allclose(level.torque, torque)
 
 
-def test_both_directions_return_to_the_start_on_a_clock_that_no_nanosecond_divides() -> None:
+def test_both_directions_return_to_the_start_at_any_rate() -> None:
     ends = SHORT.at(np.array([-1.0, 0.0, SHORT.duration, SHORT.duration + 5.0])).input_angle
     assert_allclose(ends, 0.0, atol=1e-12)
     one_way = Motion(duration=2.0, speeds=(10.0,), torques=(0.0,), both_directions=False)
@@ -163,7 +163,7 @@ def test_the_drift_is_as_large_at_the_start_as_later(table: TorsionMap) -> None:
     assert np.std(first) == pytest.approx(1.0, rel=4.0 / math.sqrt(600.0))
 
 
-def test_parts_join_without_a_seam_and_an_alteration_comes_before_the_noise() -> None:
+def test_parts_join_and_an_alteration_precedes_the_noise() -> None:
     seen: list[Samples] = []
 
     def runout(samples: Samples) -> Samples:

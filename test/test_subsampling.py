@@ -57,7 +57,7 @@ def test_a_short_record_stays_itself() -> None:
     assert subsample(record) is record
 
 
-def test_rows_are_neighbours_at_their_true_times_and_single_ones_far_apart() -> None:
+def test_rows_of_a_subsample_are_neighbours_and_spread() -> None:
     whole = moved()
     record = subsample(whole, SOME)
     assert 0.9 * SOME < record.size <= SOME

@@ -320,7 +320,7 @@ def test_no_direction_and_angle_of_a_tilt_is_worse() -> None:
     assert worst(found.tilt) <= 9e-6 * (1 + 1e-6)
 
 
-def test_the_chart_meets_the_limits_of_each_alone_and_a_ring_s_has_no_side() -> None:
+def test_the_chart_s_ends_are_the_single_limits() -> None:
     limits = {"overlap": 6e-6}
     ring = {s: frontier(cup(0.0), CUP, limits, LARGEST, s)["overlap"] for s in (-1.0, -0.5, 0.0, 0.5, 1.0)}
     assert_allclose(ring[-0.5], np.multiply(ring[0.5], (1, -1)), rtol=1e-9)

@@ -131,7 +131,7 @@ def test_only_tooth_passing_without_eccentricity(paper_mesh: Mesh, torque: float
     assert np.max(others) < 1e-6 * amplitude[202]
 
 
-def test_one_moment_equals_many_to_the_last_bit_and_a_table_holds_every_pair() -> None:
+def test_one_moment_equals_many_and_a_table_bit_for_bit() -> None:
     angle, torque = np.linspace(-9, 40, 300), np.linspace(-70, 80, 300)
     one = [at(ASTRAY, *pair) for pair in zip(angle, torque, strict=True)]
     assert_array_equal(one, torsion(ASTRAY, angle, torque))

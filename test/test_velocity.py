@@ -67,7 +67,7 @@ def test_messages_one_by_one_give_the_same() -> None:
             assert_array_equal(one, other)
 
 
-def test_an_error_of_the_velocity_is_forgotten_and_a_gap_is_not_integrated() -> None:
+def test_errors_of_a_velocity_are_forgotten_gaps_left_out() -> None:
     time = np.arange(0.0, 300.0, 0.02)
     found = taken(time, np.zeros(time.size), np.full(time.size, 1e-4), time.size)
     assert found.input_angle[-1] / RATIO == pytest.approx(1e-4 * 30.0, rel=1e-3)  # what is off, times 30 s

@@ -159,9 +159,7 @@ def test_json_holds_every_value_with_its_kind() -> None:
 
 
 @given(st.text(), st.text(), st.text(), st.text())
-def test_any_text_gives_valid_json_and_is_shown_without_control_characters(
-    joint: str, text: str, log: str, number: str
-) -> None:
+def test_any_text_gives_valid_json_and_printable_lines(joint: str, text: str, log: str, number: str) -> None:
     watch = watched(message(joint, 7, text, log_state=log, residual_rms_arcsec=number))
     said = json.loads(json.dumps(as_json(watch, 0.0), allow_nan=False))
     assert said["joints"][0]["joint"] == joint[:2000]

@@ -181,9 +181,7 @@ def test_a_full_disk_under_its_lines_is_one_line(arm: Rig) -> None:
     assert (run.returncode, run.stderr) == (2, told)
 
 
-def test_what_does_not_come_within_the_time_is_said_in_one_line_with_what_is_there(
-    arm: Rig, waiting: list[subprocess.Popen[str]]
-) -> None:
+def test_a_timeout_is_one_line_with_what_is_there(arm: Rig, waiting: list[subprocess.Popen[str]]) -> None:
     """What is there is shown all the same."""
     (shown, said), (nothing, why), (_, nobody) = (each.communicate(timeout=LIMIT) for each in waiting)
     assert [each.returncode for each in waiting] == [2, 2, 1]

@@ -70,7 +70,7 @@ def test_a_search_that_is_cut_off_gives_what_it_has_found(clock: list[float]) ->
     assert sorted(said.values()) == [*said.values()]
 
 
-def test_a_diagnosis_without_time_measures_the_fit_and_the_misfit_and_says_what_it_left_out() -> None:
+def test_a_diagnosis_out_of_time_says_what_it_left_out() -> None:
     shares: list[float] = []
     record = bench(of(EFFECTS["stream_delay"], delay=5e-3), record=swinging(10.0)).data.source
     hurried = Work(0.0, lambda share, text: shares.append(share))
