@@ -9,8 +9,8 @@ from benches import EFFECTS, Part, bench, of, swinging
 from joint_records import NOISE
 
 from hd_diag.diagnosis import detectability
+from hd_diag.diagnosis.calibration import LEAST_SIZE, NAMED
 from hd_diag.diagnosis.detectability import NOT_PROVED, Detectability
-from hd_diag.diagnosis.evidence.calibration import LEAST_SIZE, NAMED
 from hd_diag.diagnosis.evidence.search import begun, candidates
 from hd_diag.diagnosis.evidence.sets import Set
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.stats import multivariate_normal
 
-from hd_diag.diagnosis.evidence.calibration import LARGER, LARGER_BY, SIZES, TEMPER
+from hd_diag.diagnosis.calibration import LARGER, LARGER_BY, SIZES, TEMPER
 from hd_diag.diagnosis.evidence.evidence import Evidence
 
 ROWS = 40

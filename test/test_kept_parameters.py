@@ -8,8 +8,8 @@ from benches import CONFIGURED, POINT, bench, chosen_set, solved, swinging
 from challenge import families, records
 from joint_records import generated
 
+from hd_diag.diagnosis.calibration import ODDS
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
-from hd_diag.diagnosis.evidence.calibration import ODDS
 from hd_diag.diagnosis.evidence.kept_parameters import DISPLACEMENTS, Kept, kept_parameters
 from hd_diag.diagnosis.evidence.search import begun
 from hd_diag.diagnosis.evidence.sets import Set

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hd_diag.diagnosis.evidence.calibration import CERTAIN_SIZE, CLASS_SHARE, LEAST_SIZE, MOST_ALIKE, NAMED
+from hd_diag.diagnosis.calibration import CERTAIN_SIZE, CLASS_SHARE, LEAST_SIZE, MOST_ALIKE, NAMED
 from hd_diag.diagnosis.evidence.naming import Standing, in_class
 from hd_diag.formatting import ARCSEC
 

@@ -10,6 +10,7 @@ from joint_records import ARCSEC, NOISE, RATIO, prepared
 from numpy.testing import assert_allclose
 
 from hd_diag.diagnosis import diagnosis
+from hd_diag.diagnosis.calibration import MISFIT
 from hd_diag.diagnosis.diagnosis import _NO_CAUSES, _described
 from hd_diag.diagnosis.evidence.naming import standings
 from hd_diag.diagnosis.evidence.search import _with_torque_zero, begun, candidates, restarted, search
@@ -21,7 +22,7 @@ from hd_diag.diagnosis.fit.fit_parameters import COMPLIANCE, CUP, DATUM
 from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.fit.refit import Refit, refit
-from hd_diag.diagnosis.gain import MISFIT, Rms, held_out, measured_gain
+from hd_diag.diagnosis.gain import Rms, held_out, measured_gain
 from hd_diag.diagnosis.record import Record
 from hd_diag.drive import transmission_error
 from hd_diag.effects.effect import Stage

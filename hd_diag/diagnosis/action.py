@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 
 from scipy.stats import norm
 
-from hd_diag.diagnosis.evidence.calibration import NAMED
+from hd_diag.diagnosis.calibration import NAMED
 from hd_diag.diagnosis.judgement import Answer, Limited, is_usual
 from hd_diag.diagnosis.statements import ended, function_in_words, names_of
 from hd_diag.formatting import percent, si, size, words

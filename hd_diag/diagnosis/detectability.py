@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hd_diag.diagnosis.evidence.calibration import CERTAIN_SIZE, LEAST_SIZE, ODDS
+from hd_diag.diagnosis.calibration import CERTAIN_SIZE, LEAST_SIZE, ODDS
 from hd_diag.diagnosis.evidence.evidence import Evidence
 from hd_diag.diagnosis.evidence.search import competes, is_searched
 from hd_diag.diagnosis.evidence.sets import Set, presence

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hd_diag.arrays import Floats
+from hd_diag.diagnosis.calibration import HINTED, LEAST_SIZE, MISFIT
 from hd_diag.diagnosis.detectability import NOT_PROVED, Detectability, testability
-from hd_diag.diagnosis.evidence.calibration import HINTED, LEAST_SIZE
 from hd_diag.diagnosis.evidence.kept_parameters import DISPLACEMENTS, Kept, kept_parameters
 from hd_diag.diagnosis.evidence.naming import standings
 from hd_diag.diagnosis.evidence.order_table import OrderRow
@@ -26,7 +26,7 @@ from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.fit.motor_torque import less_motor
 from hd_diag.diagnosis.fit.refit import Refit, refit, usable
-from hd_diag.diagnosis.gain import MISFIT, Gain, Misfit, Rms, Rows, held_out, measured_gain, renumbered
+from hd_diag.diagnosis.gain import Gain, Misfit, Rms, Rows, held_out, measured_gain, renumbered
 from hd_diag.diagnosis.noise import ORDER
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.screening import Screened, screened, without_misleading_torque

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from scipy.signal import lfilter
 
 from hd_diag.arrays import Floats, Integers
+from hd_diag.diagnosis.calibration import MISFIT, MORE
 from hd_diag.diagnosis.drift import without_drift
 from hd_diag.diagnosis.evidence.order_table import part
 from hd_diag.diagnosis.evidence.solution import Solution
@@ -35,10 +36,6 @@ _HELD_OUT = 4  # every fourth run, or stretch of a single run, is held out
 _STRETCHES = 12
 _SLICE = 1.0  # length of a block of the bootstrap [s]
 _LEAST_FITTED, _LEAST_UNSEEN = 100, 25  # rows: a fit has some thirty columns
-_MORE = 1.15  # what is left over the noise where it is more than noise for certain
-
-MISFIT = 1.3
-"""Held-out residual over noise beyond which what is left is not noise."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +117,7 @@ class Misfit(NamedTuple):
     @property
     def suspected(self) -> bool:
         """Whether what is left may be more than noise: then something is `unexplained`, and nothing named."""
-        return self.value > MISFIT or (self.low > _MORE and self.high > MISFIT)
+        return self.value > MISFIT or (self.low > MORE and self.high > MISFIT)
 
     @property
     def certain(self) -> bool:

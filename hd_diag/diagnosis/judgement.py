@@ -10,18 +10,16 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from hd_diag.diagnosis.accuracy import WHOLE_TURN, Accuracy, accuracy
+from hd_diag.diagnosis.calibration import ANOTHER, MISFIT, PLAIN, TWO_SIDED
 from hd_diag.diagnosis.diagnosis import Diagnosis
-from hd_diag.diagnosis.evidence.calibration import TWO_SIDED
-from hd_diag.diagnosis.evidence.kept_parameters import DISPLACEMENTS, PLAIN
+from hd_diag.diagnosis.evidence.kept_parameters import DISPLACEMENTS
 from hd_diag.diagnosis.evidence.solution import Cause
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.refit import usable
-from hd_diag.diagnosis.gain import MISFIT
 from hd_diag.formatting import ARCSEC, words
 
 Judgement = Literal["as_configured", "parameters", "causes", "described", "misfit", "not_judged"]
 
-_SIGMAS = 3.0  # a parameter this many standard deviations off its configured value is another
 _LEAST_SHARE = 0.05  # of the noise, below which what a parameter changes is of no use
 _BY_TORQUE = ("tooth_compliance", "cup_compliance")
 _MOST_ROWS = 2000
@@ -125,7 +123,7 @@ class Answer:
                 continue
             entry = found.parameters[name if name in found.parameters else f"{name}.magnitude"]
             off = abs(entry["value"] - entry["configured"])
-            sigmas = math.sqrt(PLAIN) if self.vague and name in (*DISPLACEMENTS, "tilt") else _SIGMAS
+            sigmas = PLAIN if self.vague and name in (*DISPLACEMENTS, "tilt") else ANOTHER
             if off > sigmas * entry["std"] and explains > least:
                 number = (entry["value"], entry["std"], entry["configured"], entry["unit"])
                 changed.append(Change(name, *number, explains))

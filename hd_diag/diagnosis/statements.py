@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from hd_diag.arrays import Floats
+from hd_diag.diagnosis.calibration import TWO_SIDED
 from hd_diag.diagnosis.diagnosis import Diagnosis
-from hd_diag.diagnosis.evidence.calibration import TWO_SIDED
 from hd_diag.diagnosis.evidence.order_table import OrderRow
 from hd_diag.diagnosis.evidence.search import FURTHER_CAUSES
 from hd_diag.diagnosis.evidence.solution import Cause, Function

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hd_diag.diagnosis.evidence.calibration import NAMED, ODDS
+from hd_diag.diagnosis.calibration import NAMED, ODDS
 from hd_diag.formatting import arcsec, number, percent, size
 from hd_diag.report.facts import JointReport, Judgement
 from hd_diag.report.pictures import comparison

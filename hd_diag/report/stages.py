@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from hd_diag.arrays import Floats, Integers
+from hd_diag.diagnosis.calibration import LEAST_SIZE
 from hd_diag.diagnosis.diagnosis import Diagnosis
-from hd_diag.diagnosis.evidence.calibration import LEAST_SIZE
 from hd_diag.diagnosis.evidence.solution import Solution, part_of
 from hd_diag.diagnosis.extension import running_residual
 from hd_diag.diagnosis.fit import fit_parameters

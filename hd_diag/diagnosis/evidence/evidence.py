@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cholesky, solve_triangular
 
 from hd_diag.arrays import Floats, Integers
-from hd_diag.diagnosis.evidence.calibration import TEMPER
+from hd_diag.diagnosis.calibration import TEMPER
 
 Widths = Mapping[str, float]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.diagnosis.evidence.calibration import ODDS, TWO_SIDED
+from hd_diag.diagnosis.calibration import ODDS, TWO_SIDED
 from hd_diag.diagnosis.evidence.sets import Set
 from hd_diag.diagnosis.evidence.solution import Solution, parameters_of
 from hd_diag.diagnosis.fit import fit_parameters
@@ -21,10 +21,7 @@ DISPLACEMENTS = frozenset(("eccentricity", "runout"))
 HELD = DISPLACEMENTS | {"tilt"}
 """Groups that may be held."""
 
-PLAIN = 1600.0
-"""Square of standard deviations beyond which no test is needed."""
-
-_NO_DOUBT = 150.0  # the same, beyond which the tempered evidence is none of noise
+_NO_DOUBT = 150.0  # square of standard deviations, beyond which the tempered evidence is none of noise
 
 _BOUND_STEPS = {"eccentricity": 1, "tilt": 4}  # to where a bound is, from one unit on
 

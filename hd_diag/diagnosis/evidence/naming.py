@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hd_diag.diagnosis.evidence.calibration import (
+from hd_diag.diagnosis.calibration import (
     CERTAIN_SIZE,
     CLASS_SHARE,
     LEAST_SIZE,

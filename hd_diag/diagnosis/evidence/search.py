@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.diagnosis.evidence.calibration import NAMED, TWO_SIDED
+from hd_diag.diagnosis.calibration import NAMED, TWO_SIDED
 from hd_diag.diagnosis.evidence.sets import Remainders, Set, presence
 from hd_diag.diagnosis.evidence.unmodelled_terms import OUTPUT_LINES, UNMODELLED_TERMS
 from hd_diag.diagnosis.fit import fit_parameters

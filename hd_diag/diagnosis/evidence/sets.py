@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.diagnosis.evidence import calibration
+from hd_diag.diagnosis import calibration
 from hd_diag.diagnosis.evidence.evidence import Evidence
 from hd_diag.diagnosis.fit.design import holds, projection
 from hd_diag.diagnosis.fit.joint_refinement import free, polished, sensible, settle
@@ -38,9 +38,9 @@ class Remainders:
         forward = np.sign(drive.kinematics.ratio) * record.speed
         usual = {
             TORQUE: (calibration.USUAL_TORSION * compliance, _range(record.torque)),
-            SPEED: (calibration.USUAL_SPEED, _range(forward)),
-            PLACE: (calibration.USUAL_PLACE, _range(record.torque)),
-            TIME: (calibration.USUAL_DRIFT, (float(record.time[0]), float(record.time[-1]))),
+            SPEED: (calibration.USUAL_SLOW, _range(forward)),
+            PLACE: (calibration.USUAL_SLOW, _range(record.torque)),
+            TIME: (calibration.USUAL_SLOW, (float(record.time[0]), float(record.time[-1]))),
             **{line: (calibration.USUAL_LINE, _range(record.torque)) for line in ORDERS},
         }
         return Remainders(tuple((effect, (size, *ends)) for effect, (size, ends) in usual.items()))

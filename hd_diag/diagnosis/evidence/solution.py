@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hd_diag.arrays import Floats
-from hd_diag.diagnosis.evidence.calibration import LEAST_SIZE, ODDS, TEMPER
+from hd_diag.diagnosis.calibration import LEAST_SIZE, ODDS, TEMPER
 from hd_diag.diagnosis.evidence.naming import Standing
 from hd_diag.diagnosis.evidence.order_table import OrderRow
 from hd_diag.diagnosis.evidence.sets import Set

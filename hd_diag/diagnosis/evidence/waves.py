@@ -13,7 +13,7 @@ import numpy.typing as npt
 from scipy.fft import next_fast_len
 
 from hd_diag.arrays import Floats, Integers
-from hd_diag.diagnosis.evidence.calibration import LEAST_SIZE
+from hd_diag.diagnosis.calibration import LEAST_SIZE
 from hd_diag.diagnosis.evidence.unmodelled_terms import InputLine, OutputLine
 from hd_diag.diagnosis.fit.design import f_test, holds, orthonormal, projection
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit

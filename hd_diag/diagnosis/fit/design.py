@@ -11,11 +11,10 @@ import numpy as np
 from scipy import special, stats
 
 from hd_diag.arrays import Floats, Integers
+from hd_diag.diagnosis.calibration import CERTAIN_SIZE, DISAGREEING
 
 _DRAWS = 2000  # of a bootstrap
-_ONE_PER_CENT = 2.326  # standard deviations
 _ALONE = 1e-10  # share of a column outside a block that is nothing but rounding
-_DISAGREEING = 0.1  # share of what was predicted that may lie in blocks which it made worse
 _TOLD_APART = 1e-6  # of the inverse times the matrix from one
 
 
@@ -284,9 +283,9 @@ def holds(gain: Floats, predicted: Floats) -> bool:
     share = 0.5 * (1.0 + float(gain.sum()) / whole)
     away = 0.5 * (gain + predicted) - share * predicted
     square, noise, few = float(away @ away), whole**-0.5, gain.size - 1
-    agreeing = float(predicted[gain < 0.0].sum()) <= _DISAGREEING * whole
+    agreeing = float(predicted[gain < 0.0].sum()) <= DISAGREEING * whole
     as_noise = agreeing or square <= whole * float(stats.chi2.ppf(0.99, few)) / few
-    if as_noise and _is_between(share, _ONE_PER_CENT * noise):
+    if as_noise and _is_between(share, CERTAIN_SIZE * noise):
         return True
     freedom = whole**2 / float(predicted @ predicted) - 1.0
     scatter = max(square**0.5 / whole, noise)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
 from hd_diag.arrays import Floats
-from hd_diag.diagnosis.evidence.calibration import NAMED, ODDS
+from hd_diag.diagnosis.calibration import NAMED, ODDS
 from hd_diag.diagnosis.gain import Rms
 from hd_diag.diagnosis.ripple.ripple import Ripple
 from hd_diag.formatting import ARCSEC, words

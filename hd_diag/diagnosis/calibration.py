@@ -1,4 +1,4 @@
-"""Every number that decides what is named, with where it comes from."""
+"""Every number that decides what is said of a record, with where it comes from."""
 
 from __future__ import annotations
 
@@ -32,12 +32,9 @@ USUAL_TORSION = 0.1
 """Change of the compliance from torque to torque, by which gears of one page differ: catalogues allow ten to
 twenty per cent."""
 
-USUAL_LINE = LEAST_SIZE
-USUAL_PLACE = 0.3 * ARCSEC
-USUAL_SPEED = 0.3 * ARCSEC
-USUAL_DRIFT = 0.3 * ARCSEC
-"""What is usual of each remainder [rad]: a new gear of one arcminute has waves of one to two arcsec, and so
-have bearings, mounts and zeros."""
+USUAL_LINE, USUAL_SLOW = LEAST_SIZE, 0.3 * ARCSEC
+"""What is usual of a line and of the slow remainders [rad]: a new gear of one arcminute has waves of one to
+two arcsec, and so have bearings, mounts and zeros."""
 
 LARGER_BY = (1.0, 3.0, 10.0, 30.0, 100.0)
 """Sizes of a remainder over its usual one, half a decade apart: between two, the evidence changes little."""
@@ -60,3 +57,20 @@ MOST_ALIKE = 5
 UNPROVED = 10.0
 """Log odds within which a cause that the motion cannot show is in the class of one that fits better: its form
 is known no better than that."""
+
+DISAGREEING = 0.1
+"""Share of what blocks foretell that may lie in blocks which it makes worse, where all count as agreeing."""
+
+MISFIT = 1.3
+"""What is left of held-out data, over the noise, from which it is not noise: chosen, beyond the tenth or two
+to which records tell their noise."""
+
+MORE = 1.15
+"""The same for the lower end of its interval, where its upper end is beyond that."""
+
+ANOTHER = 3.0
+"""Standard deviations from its configured value from which a parameter is another: a convention."""
+
+PLAIN = 40.0
+"""The same for a displacement where more than noise is left at the gear's lines: chosen, several times as many
+as such a rest has moved one by in development records."""
