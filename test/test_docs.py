@@ -358,7 +358,7 @@ def test_the_worked_example_is_named_by_a_diagnosis(tmp_path: Path) -> None:
     result = hd_diag("diagnose", bag, "--effects", effect, "--model", model, "--time-limit", 600)
     assert result.exit_code == 0, result.output
     said = (
-        r"the eccentricity is 1[12]\.\d+ ± [^\n]*\njoint_1: Beside that: encoder pinion, 4\.\d+ arcsec rms\."
+        r"The eccentricity is 1[12]\.\d+ ± [^\n]*\njoint_1: Beside that: encoder pinion, 4\.\d+ arcsec rms\."
     )
     assert re.search(said, result.stdout)
     assert " ".join(load(effect).EFFECT.inspect.split()) in result.stdout
