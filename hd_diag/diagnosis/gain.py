@@ -87,11 +87,6 @@ class Rms:
         )
         return Misfit(value, low, high, self.repeated)
 
-    @property
-    def beyond_noise(self) -> float:
-        """What of that may be more than noise [rad rms]."""
-        return math.sqrt(max(self.left**2 - self.noise**2, 0.0))
-
 
 @dataclass(frozen=True)
 class Gain:
