@@ -45,6 +45,7 @@ SEARCHED = 0.6
 """Share of the time that a diagnosis may take, by which the search must end."""
 
 FURTHER_CAUSES = "looking for further causes"
+DATUM_REACH = "how far the datum may be off"
 """What is left out where it has no more time."""
 
 
@@ -187,9 +188,11 @@ def search(
         minima.append(turned)
     minima.sort(key=lambda one: -one.value)
     scanned, rows = minima[0], every.data.at.size
-    better, reach = _along_datum(scanned, rows)
-    if better is not scanned:
-        minima.insert(0, better)
+    reach = _DATUM_STEPS[-1]
+    with work.until(SEARCHED, DATUM_REACH):
+        better, reach = _along_datum(scanned, rows)
+        if better is not scanned:
+            minima.insert(0, better)
     instead = Instead()
     with work.until(SEARCHED, FURTHER_CAUSES):
         for turn in range(_TURNS):
@@ -200,7 +203,9 @@ def search(
             others = [one for one in minima if one.value > minima[0].value - _HOPELESS]
             minima = _at_minima(found.polished(_TO_MINIMUM), others, rng)
     if minima[0] is not scanned:
-        minima[0], reach = _along_datum(minima[0], rows)
+        reach = _DATUM_STEPS[-1]
+        with work.until(SEARCHED, DATUM_REACH):
+            minima[0], reach = _along_datum(minima[0], rows)
     best, known = minima[0].moved_to(every).settled(_TO_MINIMUM).relearned(), _plain(instead)
     instead = known
     with work.until(SEARCHED, FURTHER_CAUSES):
