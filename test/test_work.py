@@ -12,7 +12,7 @@ from joint_records import ARCSEC, columns
 from hd_diag.diagnosis import work
 from hd_diag.diagnosis.diagnosis import diagnose
 from hd_diag.diagnosis.evidence.naming import standings
-from hd_diag.diagnosis.evidence.search import FURTHER_CAUSES, Found, search
+from hd_diag.diagnosis.evidence.search import DATUM_REACH, FURTHER_CAUSES, Found, search
 from hd_diag.diagnosis.evidence.solution import solution
 from hd_diag.diagnosis.judgement import Answer
 from hd_diag.diagnosis.record import RecordError
@@ -65,7 +65,7 @@ def test_a_search_that_is_cut_off_gives_what_it_has_found(clock: list[float]) ->
     sizes = cause.effect.to_physical(cause.coefficients, cause.nonlinear)
     assert (sizes["amplitude"][0], sizes["lines"][0]) == (pytest.approx(5e-5, rel=0.05), 128.0)
     assert cause.standing.doubt == "there was no time to weigh it"
-    assert fit.work.left_out == [FURTHER_CAUSES]
+    assert fit.work.left_out == [FURTHER_CAUSES, DATUM_REACH]
     assert [*said] == ["looking for cause 1", "looking for cause 2", "weighing causes on all rows"]
     assert sorted(said.values()) == [*said.values()]
 
@@ -75,7 +75,7 @@ def test_a_diagnosis_out_of_time_says_what_it_left_out() -> None:
     record = bench(of(EFFECTS["stream_delay"], delay=5e-3), record=swinging(10.0)).data.source
     hurried = Work(0.0, lambda share, text: shares.append(share))
     found = diagnose(record, CONFIGURED, np.random.default_rng(0), hurried)
-    assert (found.causes, found.left_out[0]) == ((), FURTHER_CAUSES)
+    assert (found.causes, found.left_out[:2]) == ((), (DATUM_REACH, FURTHER_CAUSES))
     assert not any(test.testable for test in found.testable)
     assert "testing what this motion could have shown" in found.left_out
     told = json.loads(json.dumps(as_json(found, "joint_1"), allow_nan=False))
