@@ -1,5 +1,6 @@
 """A log for every start, and which of the oldest files go: never others', never what is being written."""
 
+import logging
 import os
 import re
 import threading
@@ -11,8 +12,9 @@ from bag_samples import STRING, string_cdr
 from live import START
 
 from hd_diag.bag import BagReader, BagWriter, LogFolder, Retention
-from hd_diag.bag.retention import surplus
+from hd_diag.bag.retention import delete, surplus
 from hd_diag.config.configuration import LogConfig
+from hd_diag.ros.diagnosis_run import DiagnosisRun
 from hd_diag.ros.log_writer import LogWriter
 
 TEXT = string_cdr("x" * 5000)
@@ -145,6 +147,25 @@ def test_what_another_node_is_writing_stays(tmp_path: Path) -> None:
     other.close()
     assert len(surplus(LogFolder(tmp_path / "arm"), 1, 0.0)) == len([*bag.glob("*.mcap")]) == 20
     own.close()
+
+
+def test_what_a_diagnosis_reads_and_writes_stays_until_it_has_ended(tmp_path: Path) -> None:
+    """A file that has gone before is not read."""
+    writer, diagnosis = log(tmp_path / "arm", 20, split_size=1), DiagnosisRun(print, logging.getLogger())
+    files, folder = writer._writer.paths, LogFolder(tmp_path / "arm")  # type: ignore[union-attr]
+    verdict = files[0].with_name("verdict_2026-01-01_00-00-00.yaml")
+    verdict.write_text("of a diagnosis under way")
+    assert diagnosis._keep([*files[:3], tmp_path / "gone.mcap", verdict]) == [*files[:3], verdict]
+    assert surplus(folder, 1, 0.0, files) == files[3:-1]
+    writer.close()
+    assert surplus(folder, 1, 0.0) == files[3:]
+    for file in files:
+        delete(file)
+    assert verdict.exists()
+    diagnosis.close()
+    files[0].write_bytes(b"")
+    delete(files[0])
+    assert not verdict.parent.exists()
 
 
 def test_a_file_that_cannot_be_deleted_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -120,7 +120,8 @@ class Retention:
 def surplus(folder: LogFolder, most_bytes: int, most_age: float, own: Sequence[Path] = ()) -> list[Path]:
     """Files to delete, the oldest first, until those of a folder are within a size [byte] and an age [s].
 
-    0 stands for no limit. Of a writer's `own` files the last stays, of another's bag all while it is written.
+    0 stands for no limit. Of a writer's `own` files the last stays, of another's bag all while it is written;
+    what a diagnosis reads stays until it has ended.
     """
     now, found = time.time(), list[tuple[float, int, Path]]()
     for file in folder.files():
@@ -130,7 +131,8 @@ def surplus(folder: LogFolder, most_bytes: int, most_age: float, own: Sequence[P
     total, gone = sum(size for _, size, _ in found), list[Path]()
     for changed, size, file in sorted(found):
         is_surplus = (most_bytes and total > most_bytes) or (most_age and now - changed > most_age)
-        if is_surplus and (file in own[:-1] or not _is_written(file)):
+        # A writer holds the folder of its own, whoever reads a file of it the file.
+        if is_surplus and not (_is_held(file) if file in own[:-1] else _is_written(file)):
             gone.append(file)
             total -= size
     return gone
@@ -176,8 +178,9 @@ def _forget(file: Path) -> None:
 
 def _remove_empty(folder: Path) -> None:
     """Take away a folder that has no file of a bag left, unless somebody else's lies there."""
-    if not [*_files(folder)]:
-        for verdict in folder.glob("verdict_*"):
+    verdicts = [*folder.glob("verdict_*")]
+    if not [*_files(folder)] and not any(map(_is_held, verdicts)):
+        for verdict in verdicts:
             verdict.unlink(missing_ok=True)
         (folder / "metadata.yaml").unlink(missing_ok=True)
         with suppress(OSError):
@@ -198,7 +201,7 @@ def _is_ours(file: Path) -> bool:
 
 
 def _is_written(file: Path) -> bool:
-    """Whether somebody is writing the file, or the folder that it is in."""
+    """Whether somebody is writing or keeps the file, or the folder that it is in."""
     return any(_is_held(place) for place in (file, file.parent))
 
 

@@ -9,11 +9,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
 from hd_diag.bag import BagError
+from hd_diag.bag.errors import lock
 from hd_diag.config import parameter_file
 from hd_diag.config.configuration import Config
 from hd_diag.formatting import visible
@@ -38,6 +39,7 @@ class DiagnosisRun:
         self._process: subprocess.Popen[bytes] | None = None
         self._stem: Path | None = None  # of what is written; there is one while a diagnosis is wanted
         self._at = 0.0
+        self._kept = ExitStack()  # files that nobody may delete while they are read
         self._facts: dict[str, str] = {"diagnosis_state": "none"}
 
     @property
@@ -68,12 +70,14 @@ class DiagnosisRun:
                     self._begin(self._stem, config, found)
             elif (code := self._process.poll()) is not None:
                 stem, self._process, self._stem = self._stem, None, None
+                self._kept.close()
                 self._take(stem, code)
         except (OSError, ValueError) as error:
             self.fail(str(error))
 
     def close(self) -> None:
         """End the process, and those that it has begun."""
+        self._kept.close()
         if self._process is None or self._process.poll() is not None:
             return
         os.killpg(self._process.pid, signal.SIGTERM)
@@ -84,10 +88,12 @@ class DiagnosisRun:
             self._process.wait()
 
     def _begin(self, stem: Path, config: Config, files: Sequence[Path]) -> None:
-        if not files:
+        if not (files := self._keep(files)):
             raise BagError(stem, "there is no file of the log to diagnose")
         own = stem.with_name(f"{stem.name}.yaml")
+        stem.parent.mkdir(parents=True, exist_ok=True)  # the log's own folder ages as well
         own.write_text(_configuration(stem, config), encoding="utf-8")
+        self._keep([own])
         places = [str(stem.with_name(f"{stem.name}{ending}")) for ending in _ENDINGS]
         command = [*_NICE, sys.executable, "-m", "hd_diag", "diagnose", *map(str, files)]
         options = ["--config", str(own), "--json", places[0], "--report", places[1]]
@@ -100,6 +106,17 @@ class DiagnosisRun:
                 start_new_session=True,
             )
         self._tell(f"diagnoses {len(files)} files: {places[0]}")
+
+    def _keep(self, files: Sequence[Path]) -> list[Path]:
+        """Those of some files that are still there; until this ends the log deletes none of them."""
+        there = []
+        for file in files:
+            with suppress(FileNotFoundError):
+                opened = self._kept.enter_context(file.open("rb"))
+                there.append(file)
+                with suppress(BagError):  # somebody writes it, and keeps it
+                    lock(opened.fileno(), file)
+        return there
 
     def _take(self, stem: Path, code: int) -> None:
         """Publish what a process has found, or tell why it found nothing."""
