@@ -211,6 +211,22 @@ def test_lines_of_the_output_are_described() -> None:
     assert [row.amplitude / ARCSEC for row in table] == pytest.approx([3.0, 3.0], rel=0.1)
 
 
+def test_a_term_whose_columns_go_with_the_rows_moves_to_others() -> None:
+    """A creep has a constant for each stretch: on rows of another record there may be more of them."""
+    record = swinging()
+
+    def cut(parts: int) -> LinearisedFit:
+        stretch = np.arange(record.size) * parts // record.size
+        return linearise(dataclasses.replace(record, stretch=stretch), CONFIGURED, POINT).with_noise(())
+
+    some, other = cut(2), cut(5)
+    without = begun(some)
+    with_creep = without.beside((CREEP, ()), {**without.widths, "creep": 1.0}).settled()
+    moved = with_creep.moved_to(other).settled()
+    assert moved.names == {"creep"}
+    assert np.isfinite(moved.value)
+
+
 # Candidates ---
 
 

@@ -204,8 +204,10 @@ class Set:
         """On other rows of the record, with the noise that is known."""
         there = replace(fit, whiten=self.fit.whiten).moved(self.fit.parameters)
         sized = self.fit.sized(self.chosen, self.fit.fit(self.chosen)[0])
-        there = there.clear_of(there.effects.possible_torques(sized)).beside(sized)
-        return replace(self, fit=there, rounds=1)
+        there = there.clear_of(there.effects.possible_torques(sized))
+        # How many columns a term without a law has, one for each rest say, goes with the rows.
+        known = tuple(one for one in sized if there.columns(*one[0]).shape[1] == one[1].size)
+        return replace(self, fit=there.beside(known), rounds=1)
 
     def at(self, parameters: Floats) -> Set:
         """At other parameters (p,), with the same sizes; not settled."""
