@@ -238,8 +238,6 @@ def main() -> int:
     print(text)
     if given.markdown:
         given.markdown.write_text(text + "\n")
-    if given.diagram:
-        draw(scores, given.diagram)
     if given.json:
         found = {
             "schema": "hd_diag/challenge/1",
@@ -247,6 +245,8 @@ def main() -> int:
             "records": [scoring.plain(each) for each in scores],
         }
         given.json.write_text(json.dumps(found, indent=1) + "\n")
+    if given.diagram:
+        draw(scores, given.diagram)
     return 1 if failures else 0
 
 
