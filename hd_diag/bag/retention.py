@@ -131,7 +131,7 @@ def surplus(folder: LogFolder, most_bytes: int, most_age: float, own: Sequence[P
     total, gone = sum(size for _, size, _ in found), list[Path]()
     for changed, size, file in sorted(found):
         is_surplus = (most_bytes and total > most_bytes) or (most_age and now - changed > most_age)
-        # A writer holds the folder of its own, whoever reads a file of it the file.
+        # A writer locks its whole folder: of its own files only each one's lock counts.
         if is_surplus and not (_is_held(file) if file in own[:-1] else _is_written(file)):
             gone.append(file)
             total -= size

@@ -21,7 +21,7 @@ from hd_diag.diagnosis.evidence.unexplained import Unexplained, unexplained, wit
 from hd_diag.diagnosis.extension import encoder_zeros, extended_model
 from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.fit import fit_parameters
-from hd_diag.diagnosis.fit.fit_parameters import GROUPS, groups
+from hd_diag.diagnosis.fit.fit_parameters import GROUPS, numbers_of
 from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.fit.motor_torque import less_motor
@@ -139,7 +139,7 @@ class Diagnosis:
     def _nameless(self) -> dict[str, str]:
         """Effects that would not be named whatever their size, and why."""
         names, why = [effect.name for effect in self.catalogue], ""
-        if self.misfit and self.misfit.certain and self.rms and not self.rms.gear < MISFIT:
+        if self.rms and self.rms.misfit.certain and self.rms.hides_lines:
             why = _HIDDEN
         elif self.refitted and fit_parameters.at_bound(self.refitted.parameters, self.configured):
             why = _AT_BOUND
@@ -284,9 +284,7 @@ def _wider(rms: Rms, configured: Drive) -> Floats:
     """
     left = rms.misfit.value if rms.misfit.suspected else 1.0
     found = np.full(fit_parameters.count(configured), left)
-    found[[number for name in DISPLACEMENTS for number in groups(configured).get(name, ())]] = min(
-        left, max(rms.gear, 1.0)
-    )
+    found[numbers_of(DISPLACEMENTS)] = min(left, max(rms.gear, 1.0))
     return found
 
 

@@ -75,6 +75,11 @@ class Rms:
         return min(math.sqrt(max(whole**2 - wandering**2, 0.0)) for whole, wandering in pairs)
 
     @property
+    def hides_lines(self) -> bool:
+        """Whether more than noise is left at the gear's lines, or nobody knows."""
+        return not self.gear < MISFIT
+
+    @property
     def without_causes(self) -> float:
         """What the parameters alone leave, or the configured drive if that is less."""
         return min(self.refit, self.nominal)

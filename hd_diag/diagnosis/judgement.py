@@ -12,7 +12,7 @@ import numpy as np
 from hd_diag.diagnosis.accuracy import WHOLE_TURN, Accuracy, accuracy
 from hd_diag.diagnosis.calibration import ANOTHER, MISFIT, PLAIN, TWO_SIDED
 from hd_diag.diagnosis.diagnosis import Diagnosis
-from hd_diag.diagnosis.evidence.kept_parameters import DISPLACEMENTS
+from hd_diag.diagnosis.evidence.kept_parameters import HELD
 from hd_diag.diagnosis.evidence.solution import Cause
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.refit import usable
@@ -92,7 +92,7 @@ class Answer:
             return "not_judged"
         if found.refitted is None:
             return "described" if found.order_table else "not_judged"
-        if found.rms.misfit.certain and not found.rms.gear < MISFIT:
+        if found.rms.misfit.certain and found.rms.hides_lines:
             return "misfit"
         if found.causes or any(finding.name == "tooth_skip" for finding in found.findings):
             return "causes"
@@ -104,7 +104,7 @@ class Answer:
     def vague(self) -> bool:
         """Whether a displacement that is not plain may be a part of what is left at the gear's lines."""
         rms = self.diagnosis.rms
-        return bool(rms and rms.misfit.suspected and not rms.gear < MISFIT)
+        return bool(rms and rms.misfit.suspected and rms.hides_lines)
 
     @cached_property
     def changes(self) -> list[Change]:
@@ -123,7 +123,7 @@ class Answer:
                 continue
             entry = found.parameters[name if name in found.parameters else f"{name}.magnitude"]
             off = abs(entry["value"] - entry["configured"])
-            sigmas = PLAIN if self.vague and name in (*DISPLACEMENTS, "tilt") else ANOTHER
+            sigmas = PLAIN if self.vague and name in HELD else ANOTHER
             if off > sigmas * entry["std"] and explains > least:
                 number = (entry["value"], entry["std"], entry["configured"], entry["unit"])
                 changed.append(Change(name, *number, explains))
@@ -223,8 +223,10 @@ def first_words(answer: Answer) -> str:
 
 def _misfit(answer: Answer) -> list[str]:
     rms = answer.diagnosis.rms
-    left = rms.misfit if rms else None
-    if rms is None or left is None or not left.suspected or (left.measured and not left.certain):
+    if rms is None:
+        return []
+    left = rms.misfit
+    if not left.suspected or (left.measured and not left.certain):
         return []
     if not left.certain:
         return [
@@ -232,7 +234,7 @@ def _misfit(answer: Answer) -> list[str]:
             f"{left.low:.1f} to {left.value:.1f} times the noise is left, "
             "and too little of the motion repeats to tell"
         ]
-    if rms.gear < MISFIT:
+    if not rms.hides_lines:
         return [
             "the model describes the gear's lines in this record, but not what is slower than an input turn: "
             f"{rms.slow:.1f} times the noise is left there"

@@ -12,7 +12,7 @@ from hd_diag.diagnosis.calibration import ODDS, TWO_SIDED
 from hd_diag.diagnosis.evidence.sets import Set
 from hd_diag.diagnosis.evidence.solution import Solution, parameters_of
 from hd_diag.diagnosis.fit import fit_parameters
-from hd_diag.diagnosis.fit.fit_parameters import DATUM, GROUPS, alike, displacements, groups
+from hd_diag.diagnosis.fit.fit_parameters import DATUM, GROUPS, alike, displacements, groups, numbers_of
 from hd_diag.diagnosis.fit.joint_refinement import covariance
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.drive import Drive
@@ -44,7 +44,7 @@ class Kept:
     @property
     def held(self) -> tuple[int, ...]:
         """Numbers of the parameters."""
-        return tuple(number for name in self.bounds for number in GROUPS[name])
+        return tuple(numbers_of(self.bounds))
 
     def physical(self, configured: Drive) -> dict[str, float]:
         """The bounds in SI."""
@@ -154,13 +154,13 @@ def _half_widths(spread: Floats) -> Floats:
 
 def _certainty(away: Floats, spread: Floats, names: list[str]) -> float:
     """Square of standard deviations, by which groups are away together."""
-    numbers = [number for name in names for number in GROUPS[name]]
+    numbers = numbers_of(names)
     return float(away[numbers] @ np.linalg.solve(spread[np.ix_(numbers, numbers)], away[numbers]))
 
 
 def _start(fit: LinearisedFit, names: list[str]) -> tuple[Floats, list[int]]:
     """Parameters, lobes swapped if that is nearer, with groups as configured; the numbers of these."""
-    numbers = [number for name in names for number in GROUPS[name]]
+    numbers = numbers_of(names)
     configured = _configured(fit)
     points = alike(fit.parameters, fit.data.configured)
     start = min(points, key=lambda x: _squared_displacement(x - configured)).copy()

@@ -126,8 +126,7 @@ def begun(fit: LinearisedFit) -> Set:
     finite = slope[np.isfinite(slope)]  # it is without end in the gap between the flanks
     compliance = float(np.median(finite)) if finite.size else 0.0
     start = Set(fit, Remainders.of(fit.data.source, drive, compliance), (), fit.data.given)
-    settled = start.valued().settled()
-    return settled.polished(_TO_MINIMUM) if settled.motor else settled
+    return start.valued().settled().polished(_TO_MINIMUM)
 
 
 Instead = dict[str, dict[str, float]]
@@ -188,11 +187,9 @@ def search(
         minima.append(turned)
     minima.sort(key=lambda one: -one.value)
     scanned, rows = minima[0], every.data.at.size
-    reach = _DATUM_STEPS[-1]
-    with work.until(SEARCHED, DATUM_REACH):
-        better, reach = _along_datum(scanned, rows)
-        if better is not scanned:
-            minima.insert(0, better)
+    better, reach = _along_datum_in_time(scanned, rows)
+    if better is not scanned:
+        minima.insert(0, better)
     instead = Instead()
     with work.until(SEARCHED, FURTHER_CAUSES):
         for turn in range(_TURNS):
@@ -203,9 +200,7 @@ def search(
             others = [one for one in minima if one.value > minima[0].value - _HOPELESS]
             minima = _at_minima(found.polished(_TO_MINIMUM), others, rng)
     if minima[0] is not scanned:
-        reach = _DATUM_STEPS[-1]
-        with work.until(SEARCHED, DATUM_REACH):
-            minima[0], reach = _along_datum(minima[0], rows)
+        minima[0], reach = _along_datum_in_time(minima[0], rows)
     best, known = minima[0].moved_to(every).settled(_TO_MINIMUM).relearned(), _plain(instead)
     instead = known
     with work.until(SEARCHED, FURTHER_CAUSES):
@@ -316,6 +311,14 @@ def _choices(effect: Effect, nonlinear: tuple[float, ...]) -> tuple[float, ...]:
     """The discrete ones of an effect's nonlinear values: which tooth, which form."""
     pairs = zip(effect.nonlinear, nonlinear, strict=True)
     return tuple(value for quantity, value in pairs if quantity.discrete)
+
+
+def _along_datum_in_time(best: Set, rows: int) -> tuple[Set, float]:
+    """As `_along_datum`; where there is no time for it the same set, and the farthest that is looked at."""
+    found = best, _DATUM_STEPS[-1]
+    with best.fit.work.until(SEARCHED, DATUM_REACH):
+        found = _along_datum(best, rows)
+    return found
 
 
 def _along_datum(best: Set, rows: int) -> tuple[Set, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import cmath
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -102,6 +103,11 @@ def units(configured: Drive) -> Floats:
 def count(configured: Drive) -> int:
     """Number p of the parameters."""
     return len(SCALES) if configured.mesh.geometry.sections > 1 else TILT.start
+
+
+def numbers_of(names: Iterable[str]) -> list[int]:
+    """Of the parameters of some groups."""
+    return [number for name in names for number in GROUPS[name]]
 
 
 def groups(configured: Drive) -> dict[str, tuple[int, ...]]:
