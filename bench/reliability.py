@@ -57,7 +57,7 @@ def draw(scores: Sequence[Score], file: Path) -> None:
         if count:
             low, high = wilson(hits, count)
             share = hits / count
-            away = [[100 * max(share - low, 0.0)], [100 * max(high - share, 0.0)]]  # rounding may be below zero
+            away = [[100 * max(share - low, 0.0)], [100 * max(high - share, 0.0)]]
             axes.errorbar(100 * mean, 100 * share, away, fmt="o", color="C0", capsize=3)
             axes.annotate(f" {count}", (100 * mean, 100 * share), va="top")
     axes.set(xlabel="stated probability [%]", ylabel="there [%]", xlim=(48, 102), ylim=(-2, 102))
