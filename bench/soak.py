@@ -45,7 +45,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rich.console import Console
 from rich.table import Table
-from soak_result import HEAD, STEPS, Observed, cells, heading, markdown, result
+from soak_result import HEAD, RETENTION, STEPS, Observed, cells, heading, markdown, result
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -125,6 +125,7 @@ class Run:
         self._services = {name: self._node.create_client(Trigger, f"/hd_diag/{name}") for name in names}
         self._asked: tuple[float, Any, Callable[[Any], None]] | None = None
         self._state = self._diagnosis = ""
+        self._diagnosed = 0.0
         self._phase: list[str] = []
         self._due: dict[str, float] = {}
         self._steps, self._step = 0, 0.0
@@ -138,6 +139,8 @@ class Run:
         diagnosis = self.seen.values[0]["diagnosis_state"]
         if diagnosis.startswith("failed") and diagnosis != self._diagnosis:
             self.seen.failed_diagnoses.append(diagnosis)
+        if diagnosis.startswith(("waits", "diagnoses")):
+            self._diagnosed = time.monotonic()
         self._diagnosis = diagnosis
 
     def _take_verdict(self, _: String) -> None:
@@ -340,7 +343,9 @@ class Run:
         """Keep the stamps of the log's files except for the last ones, before they are old enough to go."""
         written = {path: path.stat().st_mtime for path in self._files()}
         found = sorted(written, key=lambda path: written[path])
-        self.seen.oldest = max(self.seen.oldest, time.time() - min(written.values(), default=time.time()))
+        if time.monotonic() - self._diagnosed > RETENTION:  # what a diagnosis reads stays until it ends
+            oldest = min(written.values(), default=time.time())
+            self.seen.oldest = max(self.seen.oldest, time.time() - oldest)
         self.seen.deleted = len(self._read - {*found})
         for path in found[: len(found) - spare]:
             if path not in self._read:

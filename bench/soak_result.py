@@ -177,7 +177,7 @@ def of_log(seen: Observed, took: float) -> list[Row]:
     failed = seen.failed_diagnoses
     return [
         (
-            "age of the oldest file of the log, and how many were deleted",
+            "age of the oldest file of the log while no diagnosis reads it, and how many were deleted",
             f"at most {oldest:.0f} s, some",
             f"{seen.oldest:.0f} s, {seen.deleted}",
             seen.oldest <= oldest and (seen.deleted > 0 or took < 2.0 * oldest),
