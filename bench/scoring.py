@@ -276,7 +276,7 @@ def _judge_fit(result: Score, made: records.Record, found: Diagnosis) -> None:
     result.over_noise = found.rms.offline / float(np.sqrt(np.mean(noise**2 + by_torque**2)))
     if isinstance(made.base, PageJoint):
         return
-    if "wear_backlash" not in result.optional:  # which moves the datum as well
+    if not {"wear_backlash", "torsional_hardening"} & set(result.optional):  # parts of datum and compliance
         result.covered = covered(found, made)
     result.trusted = found.refitted.trustworthy
 

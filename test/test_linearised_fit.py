@@ -307,3 +307,31 @@ def test_a_ripple_that_the_smoothing_left_is_not_smoothed() -> None:
     of_kept, of_cut = (model.torque(ripple, (0.0, 0.0)) for model in (kept, cut))
     assert_allclose(of_kept, ripple.torque(kept.motion, (0.0, 0.0)))
     assert np.std(of_cut[:, 2]) < 0.9 * np.std(of_kept[:, 2])
+
+
+def test_widened_slopes_are_those_over_what_is_left_open() -> None:
+    start = POINT + np.eye(7)[fit_parameters.CUP]
+    fit = linearise(swinging(), CONFIGURED, start).with_noise(())
+    wide = fit.widened(())
+    assert wide.reach is not None
+
+    def error(parameters: np.ndarray) -> np.ndarray:
+        return fit.moved(parameters).whole.predicted[fit.data.at]
+
+    bent = []
+    for step in wide.reach.T:
+        change = error(fit.parameters + step) - error(fit.parameters - step)
+        assert_allclose(2.0 * wide.jacobian @ step, change, rtol=0, atol=1e-3 * np.abs(change).max())
+        bent.append(np.abs(2.0 * fit.jacobian @ step - change).max() / np.abs(change).max())
+    assert max(bent) > 0.02
+    deviation, local = (np.sqrt(np.diag(one.fit(())[1])[:7]) for one in (wide, fit))
+    assert np.all(deviation > 0.95 * local)
+
+
+def test_widened_slopes_are_one_sided_at_a_bound() -> None:
+    start, cup = fit_parameters.vector(CONFIGURED, CONFIGURED), fit_parameters.CUP
+    start[cup] = fit_parameters.bounds(CONFIGURED)[0][cup]
+    fit = linearise(swinging(), CONFIGURED, start)
+    none = np.zeros(fit.data.source.size)
+    found = fit.data.model.secants(start, none, np.diag(np.full(7, 0.1)))
+    assert_allclose(found[:, cup], fit.data.model.derivatives(start, none)[:, cup], rtol=1e-6)

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from benches import CONFIGURED, EFFECTS, POINT, TRUE, Part, bench, chosen_set, of, solved, swinging
-from joint_records import ARCSEC, NOISE, RATIO, prepared
+from joint_records import ARCSEC, NOISE, RATIO, joint, prepared
 from numpy.testing import assert_allclose
 
 from hd_diag.diagnosis import diagnosis
@@ -28,6 +28,7 @@ from hd_diag.drive import transmission_error
 from hd_diag.effects.effect import Stage
 from hd_diag.effects.signals import Signals
 
+CENTRED = fit_parameters.vector(CONFIGURED, CONFIGURED)
 (CREEP,) = (term for term in UNMODELLED_TERMS if term.name == "creep")
 
 
@@ -415,3 +416,17 @@ def test_what_is_left_only_as_the_model_runs_is_said() -> None:
     assert "only as the model runs" in said.description
     assert said.amplitude == pytest.approx(np.sqrt(2.0 * (1.5**2 - 1.0)) * ARCSEC)
     assert _described(swinging(), [], dataclasses.replace(rms, extended=1.2 * ARCSEC), False) == ()
+
+
+def test_a_minimum_is_chosen_by_what_all_rows_will_tell() -> None:
+    """On an eighth of them no displacement has more evidence: its four numbers are worth it on all."""
+    given = {"eccentricity__magnitude": 1.5e-6, "eccentricity__direction": 0.6, "runout__magnitude": 6e-6}
+    true = joint(**given).drive
+    record, point = swinging(120.0, drive=true), fit_parameters.vector(true, CONFIGURED)
+    every = linearise(record, CONFIGURED, point).with_noise(())
+    few = linearise(record.select(np.arange(record.size) < record.size // 8), CONFIGURED, CENTRED)
+    centred = begun(few.with_noise(()))
+    assert centred.value > centred.at(point).settled(8).value
+    best = search([few, few.moved(point)], every, np.random.default_rng(0)).best
+    assert not best.names
+    assert_allclose(best.fit.parameters[:4], point[:4], atol=0.6)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.diagnosis.calibration import NAMED, TWO_SIDED
+from hd_diag.diagnosis.calibration import NAMED, TEMPER, TWO_SIDED
 from hd_diag.diagnosis.evidence.sets import Remainders, Set, presence
 from hd_diag.diagnosis.evidence.unmodelled_terms import OUTPUT_LINES, UNMODELLED_TERMS
 from hd_diag.diagnosis.fit import fit_parameters
@@ -185,8 +185,9 @@ def search(
     if turned := _with_torque_zero(minima[0].at(starts[0].parameters), torque_zero):
         minima = [one.on(turned) for one in minima]
         minima.append(turned)
-    minima.sort(key=lambda one: -one.value)
-    scanned, rows = minima[0], every.data.at.size
+    rows = every.data.at.size
+    minima = _sorted(minima, rows)
+    scanned = minima[0]
     better, reach = _along_datum_in_time(scanned, rows)
     if better is not scanned:
         minima.insert(0, better)
@@ -197,8 +198,9 @@ def search(
             found, instead = _better(minima[0].clear().relearned(), {})
             if found is None:
                 break
-            others = [one for one in minima if one.value > minima[0].value - _HOPELESS]
-            minima = _at_minima(found.polished(_TO_MINIMUM), others, rng)
+            least = _on_rows(minima[0], rows) - _HOPELESS
+            others = [one for one in minima if _on_rows(one, rows) > least]
+            minima = _sorted(_at_minima(found.polished(_TO_MINIMUM), others, rng), rows)
     if minima[0] is not scanned:
         minima[0], reach = _along_datum_in_time(minima[0], rows)
     best, known = minima[0].moved_to(every).settled(_TO_MINIMUM).relearned(), _plain(instead)
@@ -211,7 +213,7 @@ def search(
             best = now if found is None else found
             if found is None:
                 break
-    rivals = _rivals(minima, best)
+    rivals = _rivals(minima, best, rows)
     return Found(best, rivals, _beside_rivals(instead, best, rivals), reach)
 
 
@@ -235,14 +237,29 @@ def _plain(instead: Instead) -> Instead:
     return {name: odds for name, odds in instead.items() if max(odds.values()) < -_PLAINLY}
 
 
-def _rivals(minima: list[Set], best: Set) -> tuple[Set, ...]:
+def _on_rows(one: Set, rows: int) -> float:
+    """Log evidence that a set may have on so many rows, if they tell as much as those that it is on.
+
+    A minimum that costs parameters may be worth them on all rows, and not on some.
+    """
+    more = rows / one.fit.data.at.size - 1.0
+    return one.value - 0.5 * TEMPER * more * one.fit.deviance(one.chosen)
+
+
+def _sorted(minima: list[Set], rows: int) -> list[Set]:
+    """By what they may be on so many rows, the best first."""
+    return sorted(minima, key=lambda one: -_on_rows(one, rows))
+
+
+def _rivals(minima: list[Set], best: Set, rows: int) -> tuple[Set, ...]:
     """The best set at other minima of the parameters, where it is nearly as likely.
 
     Of the minima on some rows those are tried that are near there, on all rows.
     """
     first, *others = minima
     least = math.log(1.0 - NAMED)
-    near = [one for one in others if one.value > first.value + least and one.names == first.names]
+    close = _on_rows(first, rows) - _CLOSE
+    near = [one for one in others if _on_rows(one, rows) > close and one.names == first.names]
     there = [best.at(one.fit.parameters).settled() for one in near if _is_beyond_valley(first, one)]
     return tuple(one for one in there if one.value > best.value + least and _is_beyond_valley(best, one))
 
@@ -353,7 +370,7 @@ def _along_datum(best: Set, rows: int) -> tuple[Set, float]:
 
 
 def _at_minima(found: Set, others: list[Set], rng: np.random.Generator) -> list[Set]:
-    """The same causes from other minima of the parameters, and from a global search; the best first."""
+    """The same causes from other minima of the parameters, and from a global search."""
     own = found.fit.data.configured
     points = [found.fit.parameters]
     sets = [found]
@@ -365,7 +382,7 @@ def _at_minima(found: Set, others: list[Set], rng: np.random.Generator) -> list[
             there = found.at(other.fit.parameters).settled()
             if there.sensible:
                 sets.append(there)
-    return sorted(sets, key=lambda one: -one.value)
+    return sets
 
 
 def _next(now: Set) -> Set | None:

@@ -31,6 +31,7 @@ from hd_diag.effects.signals import Signals
 _TEETH = 3.0  # times the usual size, to which errors of the teeth are drawn
 _UNHEARD_OF = 1e3  # the same of all others: columns of hardly any row must not grow without end
 _HELD = 1e12  # precision of what is held, in units of `fit_parameters.units`
+_WIDENINGS, _AS_WIDE = 4, 1.1  # of slopes, at most; times a deviation, that is no wider
 _WHITE = Whitening(np.zeros(ORDER), 1.0)
 
 # Effects with their nonlinear values.
@@ -64,6 +65,8 @@ class LinearisedFit:
         what is not noise says nothing about what the motor takes.
     longer : float
         How many times a step of the parameters falls short, as the last ones showed.
+    reach : ndarray, shape (p, p), optional
+        Steps of the parameters, in columns, over which slopes are taken; local ones without.
     """
 
     data: FittedRows
@@ -73,10 +76,33 @@ class LinearisedFit:
     held: tuple[int, ...] = ()
     misfit: float = 1.0
     longer: float = 1.0
+    reach: Floats | None = None
 
     def moved(self, parameters: Floats) -> LinearisedFit:
         """The same rows and noise, linearised elsewhere, beside a motor alone."""
-        return replace(self, parameters=parameters, present=self._motor)
+        return replace(self, parameters=parameters, present=self._motor, reach=None)
+
+    def widened(self, chosen: Chosen) -> LinearisedFit:
+        """With slopes on average over what the record leaves open.
+
+        Local ones change within it, wherever a pair of teeth comes into load, and would pass for knowledge
+        of parameters which a remainder of the torque makes up for. Steps are those of a cubature rule
+        (Arasaratnam and Haykin, IEEE Trans. Automatic Control 54, 2009).
+        """
+        fit, size = self, self.parameters.size
+        free = np.setdiff1d(np.arange(size), self._all_held)
+        before = np.zeros(free.size)
+        for _ in range(_WIDENINGS):
+            spread = fit.fit(chosen)[1][np.ix_(free, free)]
+            deviation = np.sqrt(np.diag(spread))
+            if np.all(deviation < _AS_WIDE * before):
+                break
+            values, vectors = np.linalg.eigh(spread / np.multiply.outer(deviation, deviation))
+            length = np.sqrt(free.size * np.maximum(values, 0.0))
+            reach = np.zeros((size, size))
+            reach[np.ix_(free, free)] = deviation[:, None] * vectors * length
+            fit, before = replace(fit, reach=reach), deviation
+        return fit
 
     def clear_of(self, shift: Floats) -> LinearisedFit:
         """Exclude rows where the torque may be near zero, see :func:`usable`; as :meth:`moved`."""
@@ -175,7 +201,8 @@ class LinearisedFit:
     @cached_property
     def jacobian(self) -> Floats:
         """Derivatives by the parameters, zero for those that are held, (n, p)."""
-        found = self.effects.jacobian.copy()
+        effects = self.effects
+        found = effects.jacobian.copy() if self.reach is None else effects.secants(self.reach)
         found[:, self._all_held] = 0.0
         return found
 

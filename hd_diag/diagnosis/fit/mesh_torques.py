@@ -109,6 +109,10 @@ class MeshTorques:
         """Of the model by its parameters under it, shape (n, 7)."""
         return self.model.derivatives(self.parameters, self.more)
 
+    def secants(self, reach: Floats) -> Floats:
+        """The same over steps of the parameters, columns of `reach` (p, k)."""
+        return self.model.secants(self.parameters, self.more, reach)
+
     def columns(self, effect: MeshTorque, nonlinear: Values) -> Floats:
         """Of a cause beside these [rad per unit], shape (n, size); of one of these at its size."""
         torque = self.model.torque(effect, nonlinear)

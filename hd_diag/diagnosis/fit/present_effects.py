@@ -96,6 +96,17 @@ class PresentEffects:
 
         return self.kept("jacobian", self._at, rounded.key, _key(self._later), compute=carried)
 
+    def secants(self, reach: Floats) -> Floats:
+        """The same on average over steps of the parameters, columns of `reach` (p, p); (n, p)."""
+        rounded = self._torques.rounded
+
+        def carried() -> Floats:
+            found = rounded.secants(reach)
+            return self._carried(found, Stage.GEAR, of_teeth=True).take(self.data.at, axis=0)
+
+        key = ("secants", reach.tobytes(), self._at, rounded.key, _key(self._later))
+        return self.kept(*key, compute=carried)
+
     @cached_property
     def _at(self) -> bytes:
         return self.parameters.tobytes()

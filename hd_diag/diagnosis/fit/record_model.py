@@ -102,6 +102,26 @@ class RecordModel:
         torque = self.record.torque + shift
         return fit_parameters.along(drive, self.configured, self.record.input_angle, torque)[1]
 
+    def secants(self, parameters: Floats, shift: Floats, reach: Floats) -> Floats:
+        """As `derivatives`, on average over steps to both sides: columns of `reach` (p, p), in their units.
+
+        Where a pair of teeth comes into load the slope changes. A step ends where no drive can be beyond.
+        """
+        local, torque = self.derivatives(parameters, shift), self.record.torque + shift
+        bent = np.zeros((local.shape[0], reach.shape[1]))
+        for number, step in enumerate(reach.T):
+            if step.any():
+                ends = (parameters + step, parameters - step)
+                high, low = (fit_parameters.admissible(end, self.configured) for end in ends)
+                change = self._error(high, torque) - self._error(low, torque)
+                bent[:, number] = np.nan_to_num(change) - local @ (high - low)
+        return np.asarray(local + bent @ np.linalg.pinv(2.0 * reach))
+
+    def _error(self, parameters: Floats, torque: Floats) -> Floats:
+        self.work.check()
+        drive = fit_parameters.drive_of(parameters, self.configured)
+        return fit_parameters.along(drive, self.configured, self.record.input_angle, torque)[0]
+
     def rate(self, values: Floats) -> Floats:
         """Derivative by time of values at all rows, run by run."""
         rate = np.zeros(self.record.size)
