@@ -1,6 +1,7 @@
 """Evidence of sets of columns: sizes integrated out, against densities and fits written out in full."""
 
 import itertools
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +27,7 @@ WIDTHS = [
 
 seeds = st.integers(0, 2**32 - 1)
 sets = st.sampled_from(WIDTHS)
+COPIES = 40
 few = settings(max_examples=40)
 
 
@@ -164,6 +166,33 @@ def test_information_is_what_the_set_cannot_imitate(seed: int, widths: dict[str,
     inner, whole = made.evidence.information(beside, name)
     assert_allclose(inner, np.linalg.inv(spread), rtol=1e-7, atol=1e-9)
     assert_allclose(whole, TEMPER * own.T @ own, rtol=1e-12)
+
+
+@few
+@given(seeds, sets)
+def test_what_is_kept_apart_brings_the_same(seed: int, widths: dict[str, float]) -> None:
+    made = problem(seed)
+    every = {name: (name, part, USUAL[name], *CHOICES[name]) for name, part in made.groups.items()}
+    apart = [every.pop(name) for name in USUAL if name not in widths]
+    given = made.target, made.precision, made.mean
+    evidence = Evidence.of([made.base], *given, every.values(), [*apart, *_copies(apart)])
+    assert evidence.log(widths) == pytest.approx(made.evidence.log(widths), abs=1e-9)
+    names = [name for name, *_ in apart]
+    expected = made.evidence.gains(widths, names)
+    for suffix in ("", *(f" {number}" for number in range(COPIES))):
+        found = evidence.gains(widths, [f"{name}{suffix}" for name in names])
+        for name in names:
+            assert found[f"{name}{suffix}"] == pytest.approx(expected[name], abs=1e-9)
+    for name in names:
+        for one, other in zip(
+            evidence.information(widths, name), made.evidence.information(widths, name), strict=True
+        ):
+            assert_allclose(one, other, atol=1e-9)
+
+
+def _copies(groups: list[tuple]) -> Iterator[tuple]:
+    """More columns than are worked on at once."""
+    yield from ((f"{name} {number}", *rest) for name, *rest in groups for number in range(COPIES))
 
 
 def test_what_has_no_prior_is_as_good_as_free() -> None:

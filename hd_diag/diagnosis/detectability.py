@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hd_diag.arrays import Floats
 from hd_diag.diagnosis.calibration import CERTAIN_SIZE, LEAST_SIZE, ODDS
 from hd_diag.diagnosis.evidence.evidence import Evidence
 from hd_diag.diagnosis.evidence.search import competes, is_searched
@@ -43,8 +44,8 @@ def testability(best: Set, undecided: Mapping[str, str]) -> tuple[Detectability,
 
     `undecided` are those that would not be named, or not be absent, whatever this record shows, and why.
     """
-    fit = best.fit
-    points = {e.name: (e, point) for e in fit.data.searched if (point := _point(fit, best, e)) is not None}
+    fit, rest = best.fit, best.fit.remainder(best.chosen)
+    points = {e.name: (e, point) for e in fit.data.searched if (point := _point(fit, rest, e)) is not None}
     evidence = best.evidence((f"?{name}", item) for name, item in points.items())
     tests = []
     for effect in fit.data.searched:
@@ -62,9 +63,9 @@ def testability(best: Set, undecided: Mapping[str, str]) -> tuple[Detectability,
     return tuple(tests)
 
 
-def _point(fit: LinearisedFit, best: Set, effect: Effect) -> Values | None:
-    """In the middle of a grid, where it has columns."""
-    points = effect.starts(fit.signals, fit.remainder(best.chosen)).points if competes(fit, effect) else []
+def _point(fit: LinearisedFit, rest: Floats, effect: Effect) -> Values | None:
+    """In the middle of a grid by what a fit leaves (n,) [rad], where it has columns."""
+    points = effect.starts(fit.signals, rest).points if competes(fit, effect) else []
     point = points[len(points) // 2] if points else None
     return point if point is not None and fit.white(effect, point).shape[1] else None
 

@@ -8,20 +8,24 @@ Neural Computation 4, 1992; Miller and Dunson, J. Am. Stat. Assoc. 114, 2019).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError, cholesky, solve_triangular
+from scipy.linalg import LinAlgError, block_diag, cholesky, solve_triangular
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.calibration import TEMPER
 
 Widths = Mapping[str, float]
 
+# Name, whitened columns (n, k), their usual sizes (k,), widths of the prior and what a larger one costs.
+Columns = tuple[str, Floats, Floats, tuple[float, ...], float]
+
 _WIDE = 1e-2  # prior deviation of the encoders' zeros [rad]: as good as free
 _ROUNDS = 4  # of a search for the best widths
+_BATCH = 64  # columns whose products are made at once
 _ROUNDING = 1e-11  # of products of columns, relative; what is less of a column is rounding
 
 
@@ -78,7 +82,8 @@ class Evidence:
         target: Floats,
         precision: Floats,
         pull: Floats,
-        groups: Iterable[tuple[str, Floats, Floats, tuple[float, ...], float]],
+        groups: Iterable[Columns],
+        apart: Iterable[Columns] = (),
     ) -> Evidence:
         """From whitened columns.
 
@@ -90,17 +95,30 @@ class Evidence:
         precision, pull : ndarray, shape (base,)
             Prior of those.
         groups : iterable
-            Name, whitened columns (n, k), their usual sizes (k,), widths and what a larger one costs.
+            What may be in a set.
+        apart : iterable
+            What may be in none beside another one of these: products of two are not made.
         """
         own = np.where(precision > 0.0, np.maximum(precision, 1e-300) ** -0.5, _WIDE)
-        parts, places = [np.concatenate(columns, axis=1) * own], {}
-        at = parts[0].shape[1]
+        parts, places = [np.concatenate(columns, axis=1) * own], dict[str, Group]()
+        size = parts[0].shape[1]
         for name, part, usual, widths, larger in groups:
             parts.append(part * usual)
-            places[name] = Group(np.arange(at, at + part.shape[1]), widths, larger)
-            at += part.shape[1]
-        whole = np.concatenate(parts, axis=1)
-        gram, moment = whole.T @ whole, whole.T @ target
+            places[name] = Group(np.arange(size, size + part.shape[1]), widths, larger)
+            size += part.shape[1]
+        common = np.concatenate(parts, axis=1)
+        blocks, moments = [(common.T @ common, np.empty((size, 0)))], [common.T @ target]
+        for some in _together(apart):
+            at = size + sum(inner.shape[0] for inner, _ in blocks[1:])
+            for name, part, _, widths, larger in some:
+                places[name] = Group(np.arange(at, at := at + part.shape[1]), widths, larger)
+            more = np.concatenate([part * usual for _, part, usual, _, _ in some], axis=1)
+            blocks.append((more.T @ more, common.T @ more))
+            moments.append(more.T @ target)
+        gram = block_diag(*(inner for inner, _ in blocks))
+        gram[:size, size:] = np.concatenate([across for _, across in blocks], axis=1)
+        gram[size:, :size] = gram[:size, size:].T
+        moment = np.concatenate(moments)
         return Evidence(
             TEMPER * gram,
             TEMPER * moment,
@@ -197,6 +215,18 @@ class Evidence:
         root = _root(matrix)
         solved = solve_triangular(root, right, lower=True, check_finite=False)
         return at, scale, right, solved, root
+
+
+def _together(groups: Iterable[Columns]) -> Iterator[list[Columns]]:
+    """Some groups at a time."""
+    some: list[Columns] = []
+    for group in groups:
+        some.append(group)
+        if sum(columns.shape[1] for _, columns, *_ in some) >= _BATCH:
+            yield some
+            some = []
+    if some:
+        yield some
 
 
 def _root(matrix: Floats) -> Floats:

@@ -9,7 +9,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis import calibration
-from hd_diag.diagnosis.evidence.evidence import Evidence
+from hd_diag.diagnosis.evidence.evidence import Columns, Evidence
 from hd_diag.diagnosis.fit.design import holds, projection
 from hd_diag.diagnosis.fit.joint_refinement import free, polished, sensible, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
@@ -110,8 +110,8 @@ class Set:
         target = fit.residual_white - fit.always_white[:, held] @ steps
         precision[held], pull[held] = _HELD, 0.0
         columns = [fit.always_white, *(fit.white(*item) for item in fixed)]
-        groups = [_group(fit, name, item) for name, item in (*own, *candidates)]
-        return Evidence.of(columns, target, precision, pull, groups)
+        groups, apart = ((_group(fit, *one) for one in some) for some in (own, candidates))
+        return Evidence.of(columns, target, precision, pull, groups, apart)
 
     def valued(self) -> Set:
         """With the best widths and the evidence where the fit stands."""
@@ -227,7 +227,7 @@ def presence(fit: LinearisedFit, effect: Effect) -> float:
     return known - float(np.log(max(effect.starts(fit.signals).trials, 1)))
 
 
-def _group(fit: LinearisedFit, name: str, item: Item) -> tuple[str, Floats, Floats, tuple[float, ...], float]:
+def _group(fit: LinearisedFit, name: str, item: Item) -> Columns:
     effect, _ = item
     white = fit.white(*item)
     if effect.standard:
