@@ -234,7 +234,7 @@ def diagnose(
     without = settle(fit.beside(()), best.motor)
     rms, gain = measured_gain(record, test, which, without, measured, every, rng)
     work.tell(0.8, "using all data")
-    whole = measured.at(settle(replace(every, whiten=fit.whiten), chosen, 2, learn=False).widened(chosen))
+    whole = measured.at(settle(replace(every, whiten=fit.whiten), chosen, 2, learn=False))
     wider = _wider(rms, configured)
     parameters, spread = kept.spread(whole, found.rivals, found.datum_reach)
     trustworthy = not found.ambiguous and not fit_parameters.at_bound(parameters, configured)

@@ -211,12 +211,13 @@ def _numbers(fit: LinearisedFit, chosen: Chosen) -> list[tuple[Floats, Floats, f
 def parameters_of(found: Solution) -> tuple[Floats, Floats]:
     """The model's parameters beside the causes, and their covariance, in units of `fit_parameters.units`.
 
-    What is held makes the others no more certain than they are beside it. By a motor's current all
-    compliances may be off by one factor, and the torque by its inverse, as far as the prior lets them.
+    What is held makes the others no more certain than they are beside it. The covariance is by slopes over
+    what the record leaves open. By a motor's current all compliances may be off by one factor, and the
+    torque by its inverse, as far as the prior lets them.
     """
     own, fit = slice(found.fit.parameters.size), found.fit
     beta, _, _ = fit.fit(found.chosen)
-    spread = covariance(replace(fit, held=()), found.chosen)[0][own, own]
+    spread = covariance(replace(fit, held=()).widened(found.chosen), found.chosen)[0][own, own]
     parameters = fit_parameters.admissible(fit.parameters + beta[own], fit.data.configured)
     return parameters, spread + fit_parameters.scaling(parameters, fit.data.held, fit.data.configured)
 
