@@ -217,7 +217,8 @@ def parameters_of(found: Solution) -> tuple[Floats, Floats]:
     """
     own, fit = slice(found.fit.parameters.size), found.fit
     beta, _, _ = fit.fit(found.chosen)
-    spread = covariance(replace(fit, held=()).widened(found.chosen), found.chosen)[0][own, own]
+    wide = fit.widened(found.chosen)  # not over what is held: that has a bound of its own
+    spread = covariance(replace(wide, held=()), found.chosen)[0][own, own]
     parameters = fit_parameters.admissible(fit.parameters + beta[own], fit.data.configured)
     return parameters, spread + fit_parameters.scaling(parameters, fit.data.held, fit.data.configured)
 
