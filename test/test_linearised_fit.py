@@ -328,7 +328,7 @@ def test_widened_slopes_are_those_over_what_is_left_open() -> None:
     assert np.all(deviation > 0.95 * local)
 
 
-def test_widened_slopes_are_one_sided_at_a_bound() -> None:
+def test_widened_slopes_end_at_a_bound() -> None:
     start, cup = fit_parameters.vector(CONFIGURED, CONFIGURED), fit_parameters.CUP
     start[cup] = fit_parameters.bounds(CONFIGURED)[0][cup]
     fit = linearise(swinging(), CONFIGURED, start)

@@ -101,24 +101,22 @@ class Evidence:
         """
         own = np.where(precision > 0.0, np.maximum(precision, 1e-300) ** -0.5, _WIDE)
         parts, places = [np.concatenate(columns, axis=1) * own], dict[str, Group]()
-        size = parts[0].shape[1]
+        at = parts[0].shape[1]
         for name, part, usual, widths, larger in groups:
             parts.append(part * usual)
-            places[name] = Group(np.arange(size, size + part.shape[1]), widths, larger)
-            size += part.shape[1]
-        common = np.concatenate(parts, axis=1)
-        blocks, moments = [(common.T @ common, np.empty((size, 0)))], [common.T @ target]
+            places[name] = Group(np.arange(at, at := at + part.shape[1]), widths, larger)
+        common, size = np.concatenate(parts, axis=1), at
+        inner, across, moments = [common.T @ common], [np.empty((size, 0))], [common.T @ target]
         for some in _together(apart):
-            at = size + sum(inner.shape[0] for inner, _ in blocks[1:])
             for name, part, _, widths, larger in some:
                 places[name] = Group(np.arange(at, at := at + part.shape[1]), widths, larger)
             more = np.concatenate([part * usual for _, part, usual, _, _ in some], axis=1)
-            blocks.append((more.T @ more, common.T @ more))
+            inner.append(more.T @ more)
+            across.append(common.T @ more)
             moments.append(more.T @ target)
-        gram = block_diag(*(inner for inner, _ in blocks))
-        gram[:size, size:] = np.concatenate([across for _, across in blocks], axis=1)
+        gram, moment = block_diag(*inner), np.concatenate(moments)
+        gram[:size, size:] = np.concatenate(across, axis=1)
         gram[size:, :size] = gram[:size, size:].T
-        moment = np.concatenate(moments)
         return Evidence(
             TEMPER * gram,
             TEMPER * moment,

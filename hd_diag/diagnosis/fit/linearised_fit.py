@@ -31,7 +31,7 @@ from hd_diag.effects.signals import Signals
 _TEETH = 3.0  # times the usual size, to which errors of the teeth are drawn
 _UNHEARD_OF = 1e3  # the same of all others: columns of hardly any row must not grow without end
 _HELD = 1e12  # precision of what is held, in units of `fit_parameters.units`
-_WIDENINGS, _AS_WIDE = 4, 1.1  # of slopes, at most; times a deviation, that is no wider
+_WIDENINGS, _AS_WIDE = 4, 1.1  # of slopes, at most; growth of a deviation that nobody would notice
 _WHITE = Whitening(np.zeros(ORDER), 1.0)
 
 # Effects with their nonlinear values.
@@ -201,8 +201,7 @@ class LinearisedFit:
     @cached_property
     def jacobian(self) -> Floats:
         """Derivatives by the parameters, zero for those that are held, (n, p)."""
-        effects = self.effects
-        found = effects.jacobian.copy() if self.reach is None else effects.secants(self.reach)
+        found = self.effects.jacobian(self.reach).copy()
         found[:, self._all_held] = 0.0
         return found
 

@@ -105,12 +105,10 @@ class MeshTorques:
         own = tuple((effect.name, nonlinear, one.tobytes()) for (effect, nonlinear), one in self.causes)
         return (self.as_taken, *own)
 
-    def derivatives(self) -> Floats:
-        """Of the model by its parameters under it, shape (n, 7)."""
-        return self.model.derivatives(self.parameters, self.more)
-
-    def secants(self, reach: Floats) -> Floats:
-        """The same over steps of the parameters, columns of `reach` (p, k)."""
+    def derivatives(self, reach: Floats | None = None) -> Floats:
+        """Of the model by its parameters under it, (n, p); over steps of them, columns of `reach` (p, p)."""
+        if reach is None:
+            return self.model.derivatives(self.parameters, self.more)
         return self.model.secants(self.parameters, self.more, reach)
 
     def columns(self, effect: MeshTorque, nonlinear: Values) -> Floats:

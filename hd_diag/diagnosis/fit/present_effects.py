@@ -86,26 +86,19 @@ class PresentEffects:
 
         return self.kept("residual", self._at, _key(self.present), compute=corrected)
 
-    @cached_property
-    def jacobian(self) -> Floats:
-        """Derivatives by the parameters, under the real torque, as later stages show them, (n, 7)."""
+    def jacobian(self, reach: Floats | None = None) -> Floats:
+        """Derivatives by the parameters, under the real torque, as later stages show them, (n, p).
+
+        On average over steps of the parameters where there are any: columns of `reach` (p, p).
+        """
         rounded = self._torques.rounded
 
         def carried() -> Floats:
-            return self._carried(rounded.derivatives(), Stage.GEAR, of_teeth=True).take(self.data.at, axis=0)
-
-        return self.kept("jacobian", self._at, rounded.key, _key(self._later), compute=carried)
-
-    def secants(self, reach: Floats) -> Floats:
-        """The same on average over steps of the parameters, columns of `reach` (p, p); (n, p)."""
-        rounded = self._torques.rounded
-
-        def carried() -> Floats:
-            found = rounded.secants(reach)
+            found = rounded.derivatives(reach)
             return self._carried(found, Stage.GEAR, of_teeth=True).take(self.data.at, axis=0)
 
-        key = ("secants", reach.tobytes(), self._at, rounded.key, _key(self._later))
-        return self.kept(*key, compute=carried)
+        steps = None if reach is None else reach.tobytes()
+        return self.kept("jacobian", steps, self._at, rounded.key, _key(self._later), compute=carried)
 
     @cached_property
     def _at(self) -> bytes:

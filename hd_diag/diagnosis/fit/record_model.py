@@ -98,9 +98,7 @@ class RecordModel:
         """Of the model by its parameters at all rows, under a torque more by a shift (n,) [N m]; (n, 7)."""
         if not shift.any():
             return self.at(parameters).derivatives
-        drive = fit_parameters.drive_of(parameters, self.configured)
-        torque = self.record.torque + shift
-        return fit_parameters.along(drive, self.configured, self.record.input_angle, torque)[1]
+        return self._along(parameters, self.record.torque + shift)[1]
 
     def secants(self, parameters: Floats, shift: Floats, reach: Floats) -> Floats:
         """As `derivatives`, on average over steps to both sides: columns of `reach` (p, p), in their units.
@@ -113,14 +111,15 @@ class RecordModel:
             if step.any():
                 ends = (parameters + step, parameters - step)
                 high, low = (fit_parameters.admissible(end, self.configured) for end in ends)
-                change = self._error(high, torque) - self._error(low, torque)
+                self.work.check()
+                change = self._along(high, torque)[0] - self._along(low, torque)[0]
                 bent[:, number] = np.nan_to_num(change) - local @ (high - low)
         return np.asarray(local + bent @ np.linalg.pinv(2.0 * reach))
 
-    def _error(self, parameters: Floats, torque: Floats) -> Floats:
-        self.work.check()
+    def _along(self, parameters: Floats, torque: Floats) -> tuple[Floats, Floats, Floats]:
+        """As `fit_parameters.along`, at all rows under a torque (n,) [N m]."""
         drive = fit_parameters.drive_of(parameters, self.configured)
-        return fit_parameters.along(drive, self.configured, self.record.input_angle, torque)[0]
+        return fit_parameters.along(drive, self.configured, self.record.input_angle, torque)
 
     def rate(self, values: Floats) -> Floats:
         """Derivative by time of values at all rows, run by run."""
@@ -133,9 +132,7 @@ class RecordModel:
     def _at(self, parameters: Floats) -> AtParameters:
         self.work.check()
         record, drive = self.record, fit_parameters.drive_of(parameters, self.configured)
-        error, derivatives, slope = fit_parameters.along(
-            drive, self.configured, record.input_angle, record.torque
-        )
+        error, derivatives, slope = self._along(parameters, record.torque)
         angle = drive.frame.wave_generator_angle(record.input_angle)
         reported = 0.0 if record.taken is None else float(np.max(np.abs(record.by_sensor)))
         torsion = -drive.frame.torque_sign * (error + drive.cup_compliance * record.torque)
