@@ -199,7 +199,7 @@ class Run:
             self._answer()
             if now >= look:
                 look = now + LOOK
-                self.seen.take(now, self.process.pid)
+                self.seen.take(now, self.process.pid, self._log)
                 self.seen.cpu = cpu(self.process) - used
                 self.seen.waited = waiting(self.process) - waited
                 if self._asked is None:  # else the answer would have to wait

@@ -44,12 +44,14 @@ def test_the_second_tenth_is_compared_with_the_last() -> None:
     assert np.isnan(soak.medians(flat[:5], 100.0)).all()
 
 
-def test_the_most_of_the_halves_is_compared() -> None:
-    """Of what comes and goes, such as the thread that writes a log."""
+def test_the_most_or_least_of_the_halves_is_compared() -> None:
+    """Of what comes and goes, such as the thread that writes a log, or a file that is soon closed."""
     come_and_go = [(float(at), 18.0 + (at % 7 == 0)) for at in range(100)]
-    assert soak.most(come_and_go, 100.0) == (19.0, 19.0)
-    assert soak.most([(at, size + (at > 90)) for at, size in come_and_go], 100.0) == (19.0, 20.0)
-    assert np.isnan(soak.most([], 100.0)).all()
+    assert soak.halves(come_and_go, 100.0, max) == (19.0, 19.0)
+    assert soak.halves([(at, size + (at > 90)) for at, size in come_and_go], 100.0, max) == (19.0, 20.0)
+    assert soak.halves([(at, size + (at == 90)) for at, size in come_and_go], 100.0, min) == (18.0, 18.0)
+    assert soak.halves([(at, size + (at > 40)) for at, size in come_and_go], 100.0, min) == (18.0, 19.0)
+    assert np.isnan(soak.halves([], 100.0, max)).all()
 
 
 def test_retention_and_diagnoses_are_judged() -> None:
@@ -71,9 +73,12 @@ def test_retention_and_diagnoses_are_judged() -> None:
     assert holds() == [False, True]
 
 
-def test_memory_threads_and_open_files_are_those_of_the_process() -> None:
+def test_memory_threads_and_open_files_are_those_of_the_process(tmp_path: Path) -> None:
+    """Of the log's files one that is there does not count, one that was deleted does."""
     code = "input(); kept = b'1' * 40_000_000; opened = open('/dev/null'); Thread(target=input).start()"
-    code = f"from threading import Thread; print(flush=True); {code}; print(flush=True)"
+    code = f"{code}; there, gone = (open('{tmp_path}/' + name, 'w') for name in ('there', 'gone'))"
+    code = f"{code}; os.unlink(gone.name)"
+    code = f"import os; from threading import Thread; print(flush=True); {code}; print(flush=True)"
     command = [sys.executable, "-c", code]
     seen = soak.Observed()
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
@@ -81,10 +86,10 @@ def test_memory_threads_and_open_files_are_those_of_the_process() -> None:
         assert process.stdout is not None
         for at in (0.0, 1.0):
             assert process.stdout.readline() == b"\n"
-            seen.take(at, process.pid)
+            seen.take(at, process.pid, tmp_path)
             process.stdin.write(b"\n")
             process.stdin.flush()
     (_, before), (_, after) = seen.memory
     assert 0.9 * 40e6 < (after - before) * 2.0**20 < 1.5 * 40e6
     assert seen.threads[1][1] - seen.threads[0][1] == 1
-    assert seen.open_files[1][1] - seen.open_files[0][1] == 1
+    assert seen.open_files[1][1] - seen.open_files[0][1] == 2
