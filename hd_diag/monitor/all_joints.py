@@ -139,7 +139,8 @@ class Monitor:
         """What happened to each joint since the last report."""
         self._follow()
         kept = self._comparison.kept
-        windows = [joint.window(kept[kept["joint"] == n]) for n, joint in enumerate(self.joints.values())]
+        joints = enumerate(self.joints.values())  # compress: of records four times as fast as a mask
+        windows = [joint.window(kept.compress(kept["joint"] == n)) for n, joint in joints]
         self._comparison.count = self._comparison.followed = 0
         self.streams.turn()
         return windows

@@ -178,7 +178,7 @@ class Joint:
 
     def _others(self, kept: Any) -> str:
         """What is to be said of a second publisher's samples; nothing where the input is integrated."""
-        own = kept[kept["paired"] == 0]
+        own = kept.compress(kept["paired"] == 0)
         if not own.size or self.config.signals.is_velocity:
             return ""
         time, bag = 1e-9 * (own["stamp"] - own["stamp"][0]), np.zeros(own.size, np.int64)

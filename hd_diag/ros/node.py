@@ -63,7 +63,7 @@ _QOS = RELIABLE._replace(depth=INPUT_DEPTH)
 _LOOP_PERIOD = 0.05  # longest sleep between looks at the clock, the log and finished maps [s]
 _DRAIN_PERIOD = 0.01  # longest time in which what DDS holds is taken [s]
 _IDLE = 3  # turns of the executor without a message, after which DDS has none: others' events stand between
-_GATHER = 0.004  # from some samples to the next, while these come faster [s]
+_GATHER = 0.008  # from some samples to the next, while these come faster: eight together at 1 kHz [s]
 _TOGETHER = 64  # most messages that are processed at once
 _BEHIND = 0.1  # age of a sample: beyond it the node does less of its other work [s]
 _CATCH_UP = 0.5  # longest that a change waits for samples of before [s]

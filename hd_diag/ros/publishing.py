@@ -47,13 +47,13 @@ class Publishing:
         self.names = {topic: node.resolve_topic_name(topic) for topic in topics}
 
     def emit(self, encoded: Encoded) -> None:
-        """Publish and log; what has no publisher is for the log alone."""
+        """Publish and log; what has no publisher is for the log alone, what nobody reads is not published."""
         name = self.names.get(encoded.topic) or self._node.resolve_topic_name(encoded.topic)
         self.names[encoded.topic] = name
         publisher = self._publishers.get(encoded.topic)
         rows = [row if isinstance(row, bytes) else row.tobytes() for row in encoded.rows]
         write = self._log.write_some if publisher is None else self._log.write_outputs
         write(name, encoded.type_name, rows, encoded.received.tolist())
-        if publisher is not None:
+        if publisher is not None and publisher.get_subscription_count():
             for data in rows:
                 publisher.publish(data)
