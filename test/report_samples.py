@@ -10,6 +10,7 @@ import pytest
 from challenge import families, motion, records
 from challenge.records import Recording, simulate
 from challenge.truth import drawn
+from joint_records import columns, joint, prepared
 from live import config
 
 from hd_diag.config.configuration import Config
@@ -51,6 +52,12 @@ def made(name: str) -> records.Record:
 @functools.cache
 def diagnosis(name: str) -> Diagnosis:
     return diagnosed(made(name))
+
+
+@functools.cache
+def eccentric() -> Diagnosis:
+    """Of a record of the package's own drive, off centre and no more."""
+    return diagnose(prepared(columns(8.0)), joint().drive, np.random.default_rng(0))
 
 
 @functools.cache

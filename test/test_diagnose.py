@@ -16,7 +16,7 @@ from cli_runner import assert_one_line_error, hd_diag
 from click.testing import Result
 from joint_records import ARCSEC, columns, joint, prepared
 from numpy.testing import assert_allclose
-from report_samples import RUN, diagnosed, diagnosis, generated, known_to_the_command_line, made
+from report_samples import RUN, diagnosed, diagnosis, eccentric, generated, known_to_the_command_line, made
 
 from hd_diag.diagnosis import gain
 from hd_diag.diagnosis.diagnosis import diagnose
@@ -78,8 +78,7 @@ def test_intervals_are_longer_where_more_than_noise_is_left(
     within: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Those of displacements, whose waves are within turns of the input, by what is left there."""
-    record, drive, real = prepared(columns(8.0)), joint().drive, gain.measured_gain
-    plain = diagnose(record, drive, np.random.default_rng(0))
+    plain, real = eccentric(), gain.measured_gain
 
     def worse(*given: Any) -> Any:
         rms, share = real(*given)
@@ -87,7 +86,7 @@ def test_intervals_are_longer_where_more_than_noise_is_left(
         return dataclasses.replace(rms, **twice, gear=within), share
 
     monkeypatch.setattr("hd_diag.diagnosis.diagnosis.measured_gain", worse)
-    found = diagnose(record, drive, np.random.default_rng(0))
+    found = diagnose(prepared(columns(8.0)), joint().drive, np.random.default_rng(0))
     assert found.misfit is not None
     assert found.misfit.suspected
 

@@ -17,6 +17,7 @@ from report_samples import (
     HOSTILE,
     configured,
     diagnosis,
+    eccentric,
     hostile_page,
     joint_report,
     known_to_the_command_line,
@@ -288,7 +289,7 @@ def test_a_wrong_ratio_is_all_that_is_said_first() -> None:
 
 def test_a_joint_that_is_eccentric_and_no_more() -> None:
     """The card's size is what the displacement does to the error; without a cause no stage is extended."""
-    found = diagnosed(prepared(columns()))
+    found = eccentric()
     judgement = judgement_of(report_of(found))
     (card,) = judgement.cards
     assert card.title == "Eccentricity of the wave generator in the housing"

@@ -146,7 +146,6 @@ CAUSES = {
 }
 NONE = {
     "noise": bench,
-    "lines": lambda: bench(wave(45.0), wave(87.0)),
     "beside the gear's": lambda: bench(wave(99.0), wave(45.0)),
     "beat": lambda: bench(wave(47.0), wave(49.0)),
     "counts of the output": lambda: counting(6.0 * ARCSEC),
@@ -205,9 +204,11 @@ def test_numbers_of_a_friction_are_those_that_made_it() -> None:
     assert cause.standing.chance < 1e-12
 
 
-def test_lines_of_the_output_are_described() -> None:
+def test_lines_of_the_output_are_described_and_no_cause() -> None:
     """Fitted with all else, they stay in the remainder, and its table has them."""
-    table = searched(bench(wave(45.0), wave(87.0))).whole.table
+    found = searched(bench(wave(45.0), wave(87.0)))
+    assert found.named == {}
+    table = found.whole.table
     assert sorted((row.order, row.frame) for row in table) == [(45.0, "output"), (87.0, "output")]
     assert [row.amplitude / ARCSEC for row in table] == pytest.approx([3.0, 3.0], rel=0.1)
 

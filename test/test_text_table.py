@@ -31,7 +31,7 @@ NUMBERED = {"time": "1", "input": "2", "output": "3", "torque": "4"}
 
 @pytest.fixture(scope="module")
 def given() -> dict[str, np.ndarray]:
-    return columns(seconds=6.0)
+    return columns(seconds=2.0)
 
 
 def rows(given: dict[str, np.ndarray], between: str, decimal: str = ".") -> list[str]:
