@@ -64,16 +64,16 @@ def torsion_along(
     """As :func:`torsion_and_gradient` along many samples: solved at nodes of a turn, straight between them.
 
     At a node they are exact at every torque; what breaks where a pair comes into load is blurred by one step.
-    nan where no flank can bear the greatest torque.
+    nan where no flank can bear the torques about a node.
     """
     turn, center, _ = moments(mesh, np.linspace(0.0, 2.0 * np.pi, nodes + 1))
     place = np.mod(wave_generator_angle, 2.0 * np.pi) * (nodes / (2.0 * np.pi))
     cell = np.minimum(place.astype(np.int64), nodes - 1)
     order = np.argsort(cell.astype(np.int32), kind="stable")
-    load, limit = contiguous(torque[order]), float(np.max(np.abs(torque), initial=0.0)) + _BEYOND
+    load = contiguous(torque[order])
     found = np.empty((place.size, 5 if mesh.geometry.sections == 1 else 7))
     found[order] = kernel.entry.torsion_along(
-        mesh.data, turn, center, limit, cell[order], (place - cell)[order], load
+        mesh.data, turn, center, _BEYOND, cell[order], (place - cell)[order], load
     )
     return found[:, -1], _with_compliance(mesh, torque, found[:, :-1])
 

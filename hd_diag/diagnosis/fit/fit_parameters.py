@@ -78,7 +78,7 @@ _OTHER_END[TILT] = -1.0
 _SIGNS = -np.ones(len(SCALES))  # that swapped lobes give
 _SIGNS[_SINGLE] = 1.0
 
-_STEPS_PER_TOOTH, _IN_SECTIONS = 4, 3  # nodes along a record; sections bear one after the other
+_NODES = 800  # a turn, of one section; where sections bear one after the other fewer are as good
 _NODES_PAY = 1.5  # samples per node from which they do
 
 
@@ -318,7 +318,7 @@ def along(
     configured: Drive,
     input_angle: Floats,
     torque: Floats,
-    steps: int = 0,
+    nodes: int = 0,
 ) -> tuple[Floats, Floats, Floats]:
     """Transmission error and its derivatives by the parameters, along a record.
 
@@ -327,16 +327,15 @@ def along(
     Returns
     -------
     error : ndarray, shape (n,)
-        To 0.01 arcsec rms of a gear of ratio 100 with four `steps` a tooth, to 0.05 in sections with three;
-        these are the default [rad].
+        To 0.01 arcsec rms of a gear of ratio 100, to 0.05 of one of 50, with as many `nodes` a turn as the
+        default [rad].
     jacobian : ndarray, shape (n, p)
         [rad] per unit, see :func:`units`.
     slope : ndarray, shape (n,)
         dTE/dT [rad/(N m)].
     """
     geometry = drive.mesh.geometry
-    steps = steps or (_STEPS_PER_TOOTH if geometry.sections == 1 else _IN_SECTIONS)
-    nodes = steps * geometry.circular_spline_teeth
+    nodes = nodes or _NODES // (1 + geometry.sections // 2)
     angle = drive.frame.wave_generator_angle(input_angle)
     given = drive.mesh, angle, drive.frame.cup_torque(torque)
     few = angle.size < _NODES_PAY * nodes

@@ -105,7 +105,7 @@ def torsion_along(
     mesh: MeshData,
     turn: Floats,
     eccentricity: Complexes,
-    limit: float,
+    beyond: float,
     cell: Integers,
     share: Floats,
     torque: Floats,
@@ -120,7 +120,8 @@ def torsion_along(
             after += 1
         if after > before:
             found = flanks(mesh, turn[node], eccentricity[node], work)
-            size = fill_pieces(work, mesh.compliance, found, limit, room)
+            low, high = torque[before:after].min() - beyond, torque[before:after].max() + beyond
+            size = fill_pieces(work, mesh.compliance, found, low, high, room)
             turned = complex(math.cos(turn[node]), math.sin(turn[node]))
             for i in range(before, after):
                 here[:] = 0.0 if size else math.nan

@@ -130,14 +130,16 @@ class Pieces(NamedTuple):
     """Rising pieces of the torsion over torque: torque where each begins, and its loaded flanks.
 
     The sums over its flanks are, in columns: stiffness; stiffness times start; K d beta by every parameter
-    at zero torsion; its change with the torsion. Flanks, + before -, have the same of their own; `order` are
-    their numbers by rising starts, nearly those of the moment before.
+    at zero torsion; its change with the torsion. Flanks, + before -, have the same of their own. `rank` is a
+    start, infinite of a flank that no piece begins at; `order` are the flanks' numbers by rising ranks, nearly
+    those of the moment before.
     """
 
     begin: Floats
     sums: Floats
     flank: Floats
     start: Floats
+    rank: Floats
     order: Integers
 
 
@@ -151,25 +153,35 @@ def pieces_room(mesh: MeshData) -> Pieces:
         np.empty((pieces, columns)),
         np.empty((flanks, columns)),
         np.empty(flanks),
+        np.empty(flanks),
         np.arange(flanks),
     )
 
 
 @part
-def fill_pieces(work: Scratch, compliance: float, flanks: Flanks, limit: float, room: Pieces) -> int:
-    """Set the pieces from -limit to limit and give their number; none where the teeth cannot bear it."""
-    lowest, highest = balance(flanks, -limit), balance(flanks, limit)
+def fill_pieces(
+    work: Scratch, compliance: float, flanks: Flanks, low: float, high: float, room: Pieces
+) -> int:
+    """Set the pieces between two torques and give their number; none where the teeth cannot bear them."""
+    lowest, highest = balance(flanks, low), balance(flanks, high)
     if not (math.isfinite(lowest) and math.isfinite(highest)):
         return 0
-    _set_flanks(work, 2.0 / compliance, flanks.plus, 0, highest, 0, room)
     plus = flanks.plus.start.size
+    used = plus + flanks.minus.start.size
+    _set_flanks(work, 2.0 / compliance, flanks.plus, 0, highest, 0, room)
     _set_flanks(work, 2.0 / compliance, flanks.minus, 1, lowest, plus, room)
-    room.start[plus + flanks.minus.start.size :] = math.inf
-    _sort(room.order, room.start)
-    if flanks.high > flanks.low:
-        size = _append(flanks, lowest, flanks.low, -limit, 0, room)
-        return _append(flanks, flanks.high, highest, 0.0, size, room)
-    return _append(flanks, lowest, highest, -limit, 0, room)
+    for j in range(room.start.size):
+        inside = j < used and lowest <= room.start[j] < highest
+        room.rank[j] = room.start[j] if inside else math.inf
+    _sort(room.order, room.rank)
+    if flanks.high <= flanks.low:
+        return _append(flanks, lowest, highest, low, 0, room)
+    size = 0
+    if low < 0.0:
+        size = _append(flanks, lowest, min(highest, flanks.low), low, 0, room)
+    if high > 0.0:
+        size = _append(flanks, max(lowest, flanks.high), highest, max(low, 0.0), size, room)
+    return size
 
 
 @part
@@ -178,19 +190,22 @@ def add(room: Pieces, size: int, torque: float, weight: float, found: Floats) ->
 
     Between two pieces that meet it is the middle: that of a true gap at zero torque.
     """
-    at = max(int(np.searchsorted(room.begin[:size], torque, side="right")) - 1, 0)
+    at, end = 0, size
+    while end - at > 1:
+        half = (at + end) // 2
+        at, end = (half, end) if room.begin[half] <= torque else (at, half)
     if at > 0 and room.begin[at] == torque:
-        _add_piece(room.sums[at - 1], torque, 0.5 * weight, found)
         weight = 0.5 * weight
-    _add_piece(room.sums[at], torque, weight, found)
+        _add_piece(room.sums, at - 1, torque, weight, found)
+    _add_piece(room.sums, at, torque, weight, found)
 
 
-@part
-def _add_piece(sums: Floats, torque: float, weight: float, found: Floats) -> None:
-    beta, count = (torque + sums[1]) / sums[0], found.size - 2
-    share = weight / sums[0]
+@inline
+def _add_piece(sums: Floats, at: int, torque: float, weight: float, found: Floats) -> None:
+    softness, count = 1.0 / sums[at, 0], found.size - 2
+    beta, share = (torque + sums[at, 1]) * softness, weight * softness
     for k in range(count):
-        found[k] += share * (sums[2 + k] + beta * sums[2 + count + k])
+        found[k] += share * (sums[at, 2 + k] + beta * sums[at, 2 + count + k])
     found[count] += share
     found[count + 1] += weight * beta
 
@@ -220,36 +235,35 @@ def _set_flanks(
 @part
 def _append(flanks: Flanks, lowest: float, highest: float, torque: float, size: int, room: Pieces) -> int:
     """Append the pieces between two torsions; the first begins at a torque."""
-    plus = flanks.plus.start.size
-    sums = room.sums[size]
-    sums[:] = 0.0
+    plus, sums = flanks.plus.start.size, room.sums
+    for k in range(sums.shape[1]):
+        sums[size, k] = 0.0
     for j in range(plus + flanks.minus.start.size):
         if room.start[j] <= lowest if j < plus else room.start[j] >= lowest:
-            for k in range(sums.size):
-                sums[k] += room.flank[j, k]
+            for k in range(sums.shape[1]):
+                sums[size, k] += room.flank[j, k]
     room.begin[size] = torque
     for j in room.order:
-        start = room.start[j]
+        start = room.rank[j]
         if start >= highest:
             break
         if start < lowest or (start == lowest and j < plus):
             continue
-        before, after = room.sums[size], room.sums[size + 1]
         # Rounding must not give a torque that falls.
-        room.begin[size + 1] = max(before[0] * start - before[1], room.begin[size])
+        room.begin[size + 1] = max(sums[size, 0] * start - sums[size, 1], room.begin[size])
         sign = 1.0 if j < plus else -1.0
-        for k in range(before.size):
-            after[k] = before[k] + sign * room.flank[j, k]
+        for k in range(sums.shape[1]):
+            sums[size + 1, k] = sums[size, k] + sign * room.flank[j, k]
         size += 1
     return size + 1
 
 
 @part
-def _sort(order: Integers, start: Floats) -> None:
-    """Sort numbers of flanks by their starts, by insertion: they nearly are."""
+def _sort(order: Integers, rank: Floats) -> None:
+    """Sort numbers of flanks by their ranks, by insertion: they nearly are."""
     for i in range(1, order.size):
         number, k = order[i], i
-        while k > 0 and start[order[k - 1]] > start[number]:
+        while k > 0 and rank[order[k - 1]] > rank[number]:
             order[k] = order[k - 1]
             k -= 1
         order[k] = number
