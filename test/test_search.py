@@ -246,6 +246,15 @@ def test_the_cause_is_first_and_what_is_chosen_is_no_candidate() -> None:
     assert max(one.gain for one in beside) < 0.1 * first.gain
 
 
+def test_a_cause_taken_out_competes_with_the_same_of_another_form() -> None:
+    at = begun(bench(OVAL))
+    right = candidates(at)[0]
+    assert [one.name for one in candidates(at)].count(right.name) == 1
+    both = [one for one in candidates(at, right.item) if one.name == right.name]
+    assert [one.item[1] for one in both] == [(1.0,), (0.0,)]
+    assert both[0].gain == right.gain > both[1].gain + 10.0
+
+
 def test_what_a_candidate_brings_is_the_evidence_of_the_set_with_it() -> None:
     """Where the fit stands: not settled, its width the best of the grid."""
     at = begun(bench(wave(45.5)))

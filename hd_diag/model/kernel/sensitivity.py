@@ -131,8 +131,8 @@ class Pieces(NamedTuple):
 
     The sums over its flanks are, in columns: stiffness; stiffness times start; K d beta by every parameter
     at zero torsion; its change with the torsion. Flanks, + before -, have the same of their own. `rank` is a
-    start, infinite of a flank that no piece begins at; `order` are the flanks' numbers by rising ranks, nearly
-    those of the moment before.
+    start, infinite of a flank that no piece begins at; `order` are the flanks' numbers by rising ranks,
+    nearly those of the moment before.
     """
 
     begin: Floats
