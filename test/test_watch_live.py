@@ -84,7 +84,7 @@ def line_with(process: subprocess.Popen[str], words: str) -> str:
 def test_once_shows_every_joint_as_the_diagnostics_say(
     arm: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """JSON in a file, and a plain line a joint on a pipe."""
+    """JSON in a file, and a table with a line below for each joint on a pipe."""
     monkeypatch.setenv("FORCE_COLOR", "1")
     arm.set(elbow__eccentricity__magnitude=18e-6, elbow__eccentricity__direction=1.5707963267948966)
     reported = {joint: arm.values(joint) for joint in JOINTS}
@@ -94,7 +94,8 @@ def test_once_shows_every_joint_as_the_diagnostics_say(
     run = watch("--once", *names, "--json", str(file))
     assert (run.returncode, run.stderr) == (0, "")
     lines = run.stdout.splitlines()
-    assert [line.partition(": ")[0] for line in lines] == [f"{node} elbow", f"{node} shoulder"]
+    assert [line.partition(": ")[0] for line in lines[-2:]] == [f"{node} elbow", f"{node} shoulder"]
+    assert [line.split()[:3] for line in lines[-4:-2]] == [["elbow", "OK", "18.0"], ["shoulder", "OK", "0.0"]]
     assert all(line.isprintable() for line in lines)
     seen = json.loads(file.read_text())
     assert not seen["missing"]
@@ -118,7 +119,7 @@ def test_a_fault_appears_and_can_be_failed_on(arm: Rig) -> None:
     with following(*arguments) as process:
         assert " shoulder: OK; " in line_with(process, "shoulder: ")
         arm.set(shoulder__eccentricity__magnitude=60e-6)
-        assert " shoulder: INTERFERENCE the lobes overlap by " in line_with(process, "INTERFERENCE")
+        assert " the lobes overlap by " in line_with(process, "shoulder: INTERFERENCE")
         assert process.wait(LIMIT) == 1
     run = watch("--once", *arguments, "--json")
     assert run.returncode == 1
@@ -185,7 +186,7 @@ def test_a_timeout_is_one_line_with_what_is_there(arm: Rig, waiting: list[subpro
     """What is there is shown all the same."""
     (shown, said), (nothing, why), (_, nobody) = (each.communicate(timeout=LIMIT) for each in waiting)
     assert [each.returncode for each in waiting] == [2, 2, 1]
-    assert (shown.count("\n"), nothing, nobody) == (1, "", "no node /nobody/hd_diag\n")
+    assert (shown.count(" elbow: "), nothing, nobody) == (1, "", "no node /nobody/hd_diag\n")
     assert f"no report of elbow_9 within {TIMEOUT} s" in said
     assert all(f"{arm.process.namespace}/hd_diag {joint}" in said for joint in JOINTS)
     assert why.startswith(f"hd-diag: no report of an hd_diag node within {TIMEOUT} s: ")

@@ -51,13 +51,15 @@ class Step:
 
         The first is left out: its window reaches into the time before.
         """
-        settled = [report for report in self.reports if report.text("prediction") == "map"]
+        settled = [report for report in self.reports if report.values.get("prediction") == "map"]
         values = [report.number("residual_rms_arcsec") for report in settled]
         return [value for value in values if math.isfinite(value)][1:]
 
     def text(self, key: str) -> str | None:
         """The most frequent text of all reports."""
-        return statistics.mode(report.text(key) for report in self.reports) if self.reports else None
+        return (
+            statistics.mode(str(report.values.get(key)) for report in self.reports) if self.reports else None
+        )
 
     def summary(self) -> dict[str, Any]:
         """Values by diagnostics key, nan or None where there is none."""

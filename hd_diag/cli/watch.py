@@ -15,8 +15,7 @@ from hd_diag.cli.options import needing_ros
 from hd_diag.cli.targets import Problem, write_json
 from hd_diag.ros.stop_signals import SIGNALLED, noted_signals
 from hd_diag.watch import Watch, as_json
-from hd_diag.watch.display import PERIOD, Display
-from hd_diag.watch.keys import pressed_keys
+from hd_diag.watch.display import PERIOD, Display, pressed_keys
 
 if TYPE_CHECKING:
     from hd_diag.watch.listener import Listener
@@ -76,8 +75,8 @@ def _show_once(state: Watch, timeout: float, json_file: str | None) -> bool:
     now = time.monotonic()
     views = state.view(now)
     if write_json(json_file, as_json(state, now)) and views:
-        with Display() as display:
-            display.show(state, now, is_last=True)
+        with Display(state) as display:
+            display.show(now)
     if not views or (state.joints and state.missing()):
         of = ", ".join(state.missing()) or "an hd_diag node"
         raise Problem(f"no report of {of} within {timeout:g} s: {state.explanation()}")
@@ -89,11 +88,12 @@ def _follow(
 ) -> bool:
     """Show what comes until a signal ends it, or a fault where that is asked for; whether it was a fault."""
     with contextlib.ExitStack() as stack:
-        shows: list[Callable[[Watch, float, bool], None]] = []
+        shows: list[Callable[[float, bool], None]] = []
         if json_file:
-            shows.append(_json_lines(stack.enter_context(click.open_file(json_file, "w"))))
+            shows.append(_json_lines(state, stack.enter_context(click.open_file(json_file, "w"))))
         if json_file != "-":
-            shows.append(stack.enter_context(Display()).show)
+            display = stack.enter_context(Display(state))
+            shows.append(lambda now, _: display.show(now))
         pressed = stack.enter_context(pressed_keys())
         while not came:
             listener.wait(_STEP)
@@ -103,17 +103,17 @@ def _follow(
             is_faulty = fail_on_fault and _is_faulty(state, now)
             is_last = is_faulty or _QUIT in keys
             for show in shows:
-                show(state, now, is_last)
+                show(now, is_last)
             if is_last:
                 return is_faulty
     return False
 
 
-def _json_lines(file: IO[str]) -> Callable[[Watch, float, bool], None]:
+def _json_lines(state: Watch, file: IO[str]) -> Callable[[float, bool], None]:
     """Writes a state as a line of JSON where something came, once a second at most."""
     written, due = 0, 0.0
 
-    def write(state: Watch, now: float, is_last: bool) -> None:
+    def write(now: float, is_last: bool) -> None:
         nonlocal written, due
         if state.messages > written and (now >= due or is_last):
             written, due = state.messages, now + PERIOD
@@ -124,4 +124,4 @@ def _json_lines(file: IO[str]) -> Callable[[Watch, float, bool], None]:
 
 
 def _is_faulty(state: Watch, now: float) -> bool:
-    return any(view.level for view in state.view(now))
+    return any(view.level != "ok" for view in state.view(now))

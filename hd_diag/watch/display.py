@@ -1,160 +1,162 @@
-"""What a watcher shows: one table of joints in a terminal, plain lines elsewhere."""
+"""What a watcher shows: one table of joints, and what is said of each; the keys that are pressed."""
 
 from __future__ import annotations
 
+import contextlib
 import io
 import math
+import os
+import select
 import sys
+import termios
+import tty
+from collections.abc import Callable, Iterator
 from typing import TextIO
 
 from rich.console import Console, Group
 from rich.live import Live
-from rich.table import Column, Table
+from rich.table import Table
 from rich.text import Text
 
 from hd_diag.formatting import visible
 from hd_diag.watch.state import JointView, Watch
 
 PERIOD = 1.0
-"""Between plain lines of a joint without another fault [s]."""
+"""Between tables of a pipe without another fault [s]."""
 
-_REFRESH = 0.25  # shortest time between two pictures in a terminal [s]
-_NARROW, _LONGEST = 80, 500  # least width of the table, longest text [characters]
+_REFRESH = 0.25  # between two tables in a terminal [s]
+_UNWRAPPED, _LONGEST = 10_000, 500  # width of a pipe, longest text [characters]
+_TITLE = Text("hd-diag watch  d: diagnose, q: quit", "bold")
 _LARGE = 1e5  # written with an exponent from here on
-_STYLES, _GREY = ("green", "yellow", "bold red", "magenta"), "bright_black"
+_STYLES, _GREY = {"ok": "green", "warn": "yellow", "error": "bold red"}, "bright_black"
 
-# Key in the diagnostics, name, unit, decimals, heading.
+# Heading, key in the diagnostics, decimals.
 _NUMBERS = (
-    ("eccentricity_um", "configured eccentricity", "µm", 1, "ecc. µm"),
-    ("eccentricity_direction_deg", "direction", "deg", 0, "at deg"),
-    ("minimum_backlash_um", "least backlash", "µm", 1, "least backl. µm"),
-    ("lost_motion_arcmin", "lost motion", "arcmin", 2, "lost motion arcmin"),
-    ("loaded_pairs", "loaded tooth pairs", "", 0, "loaded pairs"),
-    ("peak_tooth_load_N", "largest load", "N", 1, "peak load N"),
-    ("predicted_te_pp_arcsec", "predicted error peak to peak", "arcsec", 1, "pred. error arcsec"),
-    ("residual_rms_arcsec", "residual rms", "arcsec", 2, "resid. rms arcsec"),
-    ("sample_rate_hz", "rate", "Hz", 0, "rate Hz"),
+    ("ecc.\nµm", "eccentricity_um", 1),
+    ("at\ndeg", "eccentricity_direction_deg", 0),
+    ("least\nbackl.\nµm", "minimum_backlash_um", 1),
+    ("lost\nmotion\narcmin", "lost_motion_arcmin", 2),
+    ("loaded\npairs", "loaded_pairs", 0),
+    ("peak\nload\nN", "peak_tooth_load_N", 1),
+    ("pred.\nerror\narcsec", "predicted_te_pp_arcsec", 1),
+    ("resid.\nrms\narcsec", "residual_rms_arcsec", 2),
+    ("rate\nHz", "sample_rate_hz", 0),
 )
 
 
-class Display:
-    """Shows a watch inside a ``with`` statement, on stdout by default: a live table or, elsewhere, lines."""
+class _Console(Console):
+    def on_broken_pipe(self) -> None:
+        """Leave it to the caller; rich would end the program with an error."""
+        raise
 
-    def __init__(self, stream: TextIO | None = None) -> None:
-        self._stream = stream or sys.stdout
-        if isinstance(self._stream, io.TextIOWrapper):
-            self._stream.reconfigure(errors="backslashreplace")
-        self._console = Console(file=self._stream, highlight=False)
-        is_live = self._stream.isatty() and not self._console.is_dumb_terminal
-        self._live = Live(console=self._console, auto_refresh=False) if is_live else None
-        self._next = self._due = -math.inf
+
+class Display(Live):
+    """Shows a watch inside a ``with`` statement, on stdout by default: in a terminal all in one place.
+
+    What is shown last is whole, also where the terminal had no room for it.
+    """
+
+    def __init__(self, watch: Watch, stream: TextIO | None = None) -> None:
+        file = stream or sys.stdout
+        if isinstance(file, io.TextIOWrapper):
+            file.reconfigure(errors="backslashreplace")
+        width = None if file.isatty() else _UNWRAPPED
+        console = _Console(file=file, highlight=False, force_terminal=file.isatty(), width=width)
+        self._watch, self._now, self._due = watch, 0.0, -math.inf
         self._messages, self._faults = 0, [("", True)]
+        super().__init__(
+            console=console,
+            get_renderable=lambda: Group(_TITLE, picture(watch, self._now)),
+            auto_refresh=False,
+            transient=not console.is_interactive,  # a pipe has had it
+        )
 
-    def __enter__(self) -> Display:
-        if self._live is not None:
-            self._live.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._live is not None:
-            self._live.stop()
-
-    def show(self, watch: Watch, now: float, is_last: bool = False) -> None:
-        """Show the present state if it is time to. The last table has all joints and stays there."""
-        if now < self._next and not is_last:
-            return
-        self._next = now + _REFRESH
-        if self._live is not None:
-            self._live.update(picture(watch, now, self._console, is_last), refresh=True)
-            return
-        views = watch.view(now)
-        faults = [(view.code, view.is_silent) for view in views]
-        if faults != self._faults or (now >= self._due and watch.messages > self._messages):
-            self._faults, self._due, self._messages = faults, now + PERIOD, watch.messages
-            lines = map(plain_line, views) if views else [_awaited(watch)]
-            self._stream.writelines(f"{line}\n" for line in lines)  # rich exits where its reader has gone
-            self._stream.flush()
+    def show(self, now: float) -> None:
+        """Show the present state [s] where a fault is another, or where it is time to."""
+        self._now, is_live = now, self.console.is_interactive
+        faults = [(view.fault_code, view.silent) for view in self._watch.view(now)]
+        is_due = now >= self._due and (is_live or self._watch.messages > self._messages)
+        if faults != self._faults or is_due:
+            self._faults, self._messages = faults, self._watch.messages
+            self._due = now + (_REFRESH if is_live else PERIOD)
+            self.refresh() if is_live else self.console.print(picture(self._watch, now))
 
 
-def picture(watch: Watch, now: float, console: Console, is_whole: bool = False) -> Group:
-    """The table of all joints, the worst first, or of those that the terminal has room for."""
-    views = sorted(watch.view(now), key=lambda view: -view.level)
-    room, shown = sys.maxsize if is_whole else console.height - 1, len(views)
-    shown = min(shown, max(1, room // 2))  # a joint has two lines at least
-    while True:
-        group = _group(watch, views[:shown], len(views) - shown, console.width)
-        if shown <= 1 or len(console.render_lines(group)) <= room:
-            return group
-        shown -= 1
-
-
-def _group(watch: Watch, views: list[JointView], hidden: int, width: int) -> Group:
-    """Numbers of joints, then what is said of each, then remarks."""
-    remarks = [f"{node} {answer}" for node, answer in sorted(watch.answers.items())]
-    remarks += [f"not reported: {', '.join(missing)}"] if (missing := watch.missing()) else []
-    remarks += [f"{hidden} more joints have no room here: --joint chooses"] if hidden else []
-    title = Text.assemble(("hd-diag watch", "bold"), "  d: diagnose, q: quit")
-    words = [Text(plain_line(view, is_whole=width < _NARROW), _style(view)) for view in views]
-    below = [
-        Text(visible(remark, _LONGEST), "yellow") for remark in (remarks if views else [_awaited(watch)])
-    ]
-    return Group(title, *([_table(views)] if views and width >= _NARROW else []), *words, *below)
-
-
-def _table(views: list[JointView]) -> Table:
-    table = Table(
-        Column("joint", overflow="fold"), Column("fault", overflow="fold"), box=None, pad_edge=False
-    )
-    for *_, heading in _NUMBERS:
-        table.add_column(heading.replace(" ", "\n"), justify="right", no_wrap=True)
+def picture(watch: Watch, now: float) -> Group:
+    """What is missing or answered, then the table of joints, then what is said of each."""
+    views = watch.view(now)
+    table = Table("joint", "fault", box=None, pad_edge=False)
+    for heading, *_ in _NUMBERS:
+        table.add_column(heading, justify="right")
+    for column in table.columns:
+        column.overflow = "fold"
     for view in views:
-        numbers = (_number(view.number(key), places) for key, _, _, places, _ in _NUMBERS)
-        joint, code = (Text(visible(text, _LONGEST), _style(view)) for text in (view.joint, view.code))
-        table.add_row(joint, code, *numbers, style=_GREY if view.is_stale else "")
-    return table
+        names = (Text(visible(text, _LONGEST), _style(view)) for text in (view.joint, view.fault_code))
+        numbers = (_number(view, key, places) for _, key, places in _NUMBERS)
+        table.add_row(*names, *numbers, style=_GREY if view.stale else "")
+    of, missing = (", ".join(joints) for joints in (watch.joints, watch.missing()))
+    remarks = [f"not reported: {missing}"] if missing else []
+    if not views:
+        remarks = [f"waiting for diagnostics{of and f' of {of}'} ...; {watch.explanation()}"]
+    remarks += [f"{node} {answer}" for node, answer in sorted(watch.answers.items())]
+    return Group(
+        *(Text(visible(remark, _LONGEST), "yellow") for remark in remarks),
+        *([table] if views else []),
+        *(Text(in_words(view), _style(view)) for view in views),
+    )
 
 
 def _style(view: JointView) -> str:
-    return _GREY if view.is_silent else _STYLES[min(view.level, len(_STYLES) - 1)]
+    return _GREY if view.silent else _STYLES.get(view.level, "magenta")
 
 
-def plain_line(view: JointView, is_whole: bool = True) -> str:
-    """What is known of a joint in one line without control characters, whole with its numbers.
-
-    Its node, fault, the order that repeats where nothing is wrong, bookkeeping, diagnosis and last verdict.
-    """
-    silent = f"no report for {view.age:.0f} s; the last: " if view.is_silent else ""
-    message = f" {view.message}" if view.message not in ("", view.code) else ""
-    also = " ".join(code for code in view.text("fault_codes").split() if code != view.code)
-    parts = [f"{silent}{view.code}{message}{f' (also {also})' if also else ''}"]
-    if view.level == 0 and view.text("residual_order_repeats") == "true":
-        size, limit = (view.number(f"residual_order_{key}_arcsec") for key in ("amplitude", "limit"))
-        parts.append(
-            f"residual repeats with {view.text('residual_order')}: {size:.1f} of {limit:.1f} arcsec allowed"
-        )
-    if is_whole:
-        parts += [
-            f"{name} {_number(view.number(key), places)} {unit}" for key, name, unit, places, _ in _NUMBERS
-        ]
-    parts.append(f"{view.text('samples', '-')} samples")
-    parts.append(f"latency {_number(view.number('latency_p99_us'), 0)} µs")
-    parts.append(f"log {view.text('log_state', '-')}")
-    if (state := view.text("diagnosis_state", "none")) != "none" and not state.startswith("done"):
-        parts.append(f"diagnosis {state}")
-    if verdict := view.text("verdict"):
-        parts.append(f"verdict of {view.text('verdict_time', '-')}: {verdict}")
-    told = "; ".join(visible(part.strip(), _LONGEST) for part in parts)
-    return f"{visible(f'{view.node} {view.joint}', _LONGEST)}: {told}"
-
-
-def _awaited(watch: Watch) -> str:
-    """What is waited for, and what was seen instead."""
-    of = f" of {', '.join(watch.joints)}" if watch.joints else ""
-    return visible(f"waiting for diagnostics{of} ...; {watch.explanation()}", _LONGEST)
-
-
-def _number(value: float, places: int) -> str:
-    """A number with so many decimals, without where it is large; a dash where it is not finite."""
+def _number(view: JointView, key: str, places: int) -> str:
+    """A value with so many decimals, without where it is large; a dash where it is not finite."""
+    value = view.number(key)
     if not math.isfinite(value):
         return "-"
     return f"{value:.{places}f}" if abs(value) < _LARGE else f"{value:.0e}"
+
+
+def in_words(view: JointView) -> str:
+    """What is known of a joint beside its numbers, in one line without control characters.
+
+    Its node, fault, the order that repeats where nothing is wrong, bookkeeping, diagnosis and last verdict.
+    """
+    values, code = view.values, view.fault_code
+    silent = f"no report for {view.age:.0f} s; the last: " if view.silent else ""
+    message = f" {view.message}" if view.message not in ("", code) else ""
+    also = " ".join(each for each in str(values.get("fault_codes", "")).split() if each != code)
+    parts = [f"{silent}{code}{message}{f' (also {also})' if also else ''}"]
+    if view.level == "ok" and values.get("residual_order_repeats") is True:
+        size, limit = (_number(view, f"residual_order_{key}_arcsec", 1) for key in ("amplitude", "limit"))
+        parts.append(
+            f"residual repeats with {values.get('residual_order')}: {size} of {limit} arcsec allowed"
+        )
+    parts.append(f"{values.get('samples', '-')} samples")
+    parts.append(f"latency {_number(view, 'latency_p99_us', 0)} µs")
+    parts.append(f"log {values.get('log_state', '-')}")
+    if not (state := str(values.get("diagnosis_state", "none"))).startswith(("none", "done")):
+        parts.append(f"diagnosis {state}")
+    if verdict := values.get("verdict"):
+        parts.append(f"verdict of {values.get('verdict_time', '-')}: {verdict}")
+    told = "; ".join(visible(part, _LONGEST) for part in parts)
+    return f"{visible(f'{view.node} {view.joint}', _LONGEST)}: {told}"
+
+
+@contextlib.contextmanager
+def pressed_keys() -> Iterator[Callable[[], str]]:
+    """A function that gives the keys pressed since its last call. The terminal is left as it was.
+
+    None where stdin is no terminal or the program is in the background, which reading would stop.
+    """
+    fd = sys.stdin.fileno() if sys.stdin.isatty() else -1
+    if fd < 0 or os.tcgetpgrp(fd) != os.getpgrp():
+        yield str
+        return
+    before = termios.tcgetattr(fd)
+    try:
+        tty.setcbreak(fd)
+        yield lambda: os.read(fd, 64).decode(errors="replace") if select.select([fd], [], [], 0.0)[0] else ""
+    finally:
+        termios.tcsetattr(fd, termios.TCSADRAIN, before)

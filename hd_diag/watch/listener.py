@@ -13,7 +13,6 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
@@ -33,29 +32,28 @@ class Listener(Node):
     def __init__(self, watch: Watch) -> None:
         super().__init__(f"hd_diag_watch_{os.getpid()}", enable_rosout=False, start_parameter_services=False)
         self._watch, self._next_look = watch, 0.0
-        self._topics: set[str] = set()
-        self._diagnosers: dict[str, Any] = {}
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self)
         self._listen(_TOPIC)
 
     def wait(self, seconds: float) -> None:
         """Sleep until something comes, at most for so long [s]; listen to new topics from time to time."""
         if time.monotonic() >= self._next_look:
             self._next_look = time.monotonic() + _LOOK_PERIOD
+            heard = {subscription.topic_name for subscription in self.subscriptions}
             for topic, types in self.get_topic_names_and_types():
-                if topic.endswith(_TOPIC) and DIAGNOSTICS in types:
+                if topic.endswith(_TOPIC) and DIAGNOSTICS in types and topic not in heard:
                     self._listen(topic)
-        self._executor.spin_once(timeout_sec=seconds)
+        rclpy.spin_once(self, timeout_sec=seconds)
 
     def diagnose(self) -> None:
         """Ask the watched nodes for a diagnosis; their answers are shown."""
-        there = dict(self.get_service_names_and_types())
+        there, clients = (
+            dict(self.get_service_names_and_types()),
+            {each.srv_name: each for each in self.clients},
+        )
         self._watch.answers.clear()
-        for node in self._watch.nodes():
+        for node in {view.node for view in self._watch.view(0.0)}:
             if (name := f"{node}/diagnose") in there:
-                client = self._diagnosers.get(name) or self.create_client(Trigger, name)
-                self._diagnosers[name] = client
+                client = clients.get(name) or self.create_client(Trigger, name)
                 client.call_async(Trigger.Request()).add_done_callback(partial(self._answered, node))
             else:
                 self._watch.answers[node] = "has no service ~/diagnose"
@@ -64,15 +62,8 @@ class Listener(Node):
         answer = asked.result()
         self._watch.answers[node] = f"{'diagnosis' if answer.success else 'no diagnosis'}: {answer.message}"
 
-    def destroy_node(self) -> None:
-        """Leave the ROS graph."""
-        self._executor.shutdown()
-        super().destroy_node()
-
     def _listen(self, topic: str) -> None:
-        if topic not in self._topics:
-            self._topics.add(topic)
-            self.create_subscription(DiagnosticArray, topic, partial(self._take, topic), _DEPTH)
+        self.create_subscription(DiagnosticArray, topic, partial(self._take, topic), _DEPTH)
 
     def _take(self, topic: str, array: DiagnosticArray) -> None:
         values = ({pair.key: pair.value for pair in status.values} for status in array.status)

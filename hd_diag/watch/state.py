@@ -21,57 +21,27 @@ _WHOLE_DIGITS, _NAMES_SHOWN = 15, 5  # every reader of JSON keeps such a whole n
 
 
 class JointView(NamedTuple):
-    """The last DiagnosticStatus of a joint: arrival and the period before it [s], seen at a time [s]."""
+    """The last DiagnosticStatus of a joint, with numbers for texts, and its age [s] when looked at.
+
+    Reports of a silent joint have stopped. A stale one is silent, or its node gets no samples.
+    """
 
     joint: str
-    topic: str
+    node: str
     hardware_id: str
-    level: int
+    topic: str
+    level: str
+    fault_code: str
     message: str
-    values: Mapping[str, str]
-    arrived: float
-    period: float
-    now: float
-
-    def text(self, key: str, default: str = "") -> str:
-        """A value of the diagnostics."""
-        return self.values.get(key, default)
+    values: Mapping[str, bool | int | float | str]
+    age: float = 0.0
+    silent: bool = False
+    stale: bool = False
 
     def number(self, key: str) -> float:
-        """A value as a number; nan where there is none."""
-        with contextlib.suppress(ValueError):
-            return float(self.text(key))
-        return math.nan
-
-    @property
-    def node(self) -> str:
-        """The node, which the hardware_id ``<node>/<joint>`` names."""
-        return self.hardware_id.removesuffix(f"/{self.joint}") or self.topic
-
-    @property
-    def code(self) -> str:
-        """Fault code, or else the level's name."""
-        return self.text("fault_code") or self.level_name.upper()
-
-    @property
-    def level_name(self) -> str:
-        """Name of the level."""
-        return _LEVELS[self.level] if self.level < len(_LEVELS) else f"level {self.level}"
-
-    @property
-    def age(self) -> float:
-        """Time since the last report [s]."""
-        return max(0.0, self.now - self.arrived)
-
-    @property
-    def is_silent(self) -> bool:
-        """Whether reports have stopped."""
-        return self.age > max(_SILENT, _SILENT_PERIODS * self.period)
-
-    @property
-    def is_stale(self) -> bool:
-        """Whether its numbers are old: no report comes, or the node itself gets no samples."""
-        return self.is_silent or "STALE" in self.text("fault_codes", self.code).split()
+        """A value that is a number; nan where there is none."""
+        value = self.values.get(key)
+        return float(value) if isinstance(value, (int, float)) else math.nan
 
 
 @dataclass
@@ -85,32 +55,35 @@ class Watch:
     namespaces: Collection[str] = ()
     messages: int = 0
     answers: dict[str, str] = field(default_factory=dict)
-    _views: dict[tuple[str, str, str], JointView] = field(default_factory=dict)
+    # By topic, hardware_id and joint: the last report, its level, when it came and how long after another.
+    _seen: dict[tuple[str, str, str], tuple[JointView, int, float, float]] = field(default_factory=dict)
 
     def take(self, topic: str, statuses: Iterable[Any], now: float) -> None:
         """Take what came on a topic at a time [s]: name, level, message, values, hardware_id of statuses."""
         self.messages += 1
         for name, level, text, values, identifier in statuses:
-            joint, message, hardware_id = (
-                t[:_LONGEST] for t in (name.removeprefix(PREFIX), text, identifier)
-            )
-            key = topic, hardware_id, joint
-            if name.startswith(PREFIX) and (key in self._views or len(self._views) < _MOST_JOINTS):
-                kept = {k[:_LONGEST]: v[:_LONGEST] for k, v in islice(values.items(), _MOST_VALUES)}
-                period = now - self._views[key].arrived if key in self._views else 0.0
-                self._views[key] = JointView(
-                    joint, topic, hardware_id, level, message, kept, now, period, now
-                )
+            joint, message, hardware = (t[:_LONGEST] for t in (name.removeprefix(PREFIX), text, identifier))
+            key = topic, hardware, joint
+            if name.startswith(PREFIX) and (key in self._seen or len(self._seen) < _MOST_JOINTS):
+                kept = {k[:_LONGEST]: _value(v[:_LONGEST]) for k, v in islice(values.items(), _MOST_VALUES)}
+                node, named = hardware.removesuffix(f"/{joint}") or topic, _level_name(level)
+                code = str(kept.get("fault_code") or named.upper())
+                view = JointView(joint, node, hardware, topic, named, code, message, kept)
+                period = now - self._seen[key][2] if key in self._seen else 0.0
+                self._seen[key] = view, level, now, period
 
     def view(self, now: float) -> list[JointView]:
-        """The joints asked for that were reported, by node and name, at a time [s]."""
-        views = [view._replace(now=now) for view in self._views.values() if self._is_wanted(view.node)]
-        views = [view for view in views if not self.joints or view.joint in self.joints]
-        return sorted(views, key=lambda view: (view.node, view.topic, view.joint))
-
-    def nodes(self) -> list[str]:
-        """Names of the nodes that reported a joint asked for."""
-        return sorted({view.node for view in self.view(0.0)})
+        """The joints asked for that were reported, at a time [s]: the worst first, by node and name."""
+        below = tuple(f"/{namespace.strip('/')}/".replace("//", "/") for namespace in self.namespaces)
+        views = []
+        for view, level, arrived, period in self._seen.values():
+            if (not below or view.node.startswith(below)) and (not self.joints or view.joint in self.joints):
+                age = max(0.0, now - arrived)
+                silent = age > max(_SILENT, _SILENT_PERIODS * period)
+                codes = str(view.values.get("fault_codes", view.fault_code)).split()
+                seen = view._replace(age=age, silent=silent, stale=silent or "STALE" in codes)
+                views.append((-level, view.node, view.topic, view.joint, seen))
+        return [view for *_, view in sorted(views, key=lambda row: row[:-1])]
 
     def missing(self) -> list[str]:
         """Joints that were asked for and not reported yet."""
@@ -118,27 +91,22 @@ class Watch:
 
     def explanation(self) -> str:
         """What was seen instead of what was asked for."""
-        reported = [f"{view.node} {view.joint}" for view in self._views.values()]
+        reported = [f"{view.node} {view.joint}" for view, *_ in self._seen.values()]
         none = "only diagnostics of others came" if self.messages else "no diagnostics came at all"
         return f"there is {listed(reported, _NAMES_SHOWN)}" if reported else none
 
-    def _is_wanted(self, node: str) -> bool:
-        below = [f"/{namespace.strip('/')}/".replace("//", "/") for namespace in self.namespaces]
-        return not below or node.startswith(tuple(below))
-
 
 def as_json(watch: Watch, now: float) -> dict[str, Any]:
-    """Everything known at a time [s], schema ``hd_diag/watch/1``; numbers in texts become numbers."""
-    joints = [
-        {name: getattr(view, name) for name in ("joint", "node", "hardware_id", "topic", "message", "age")}
-        | {"level": view.level_name, "fault_code": view.code, "stale": view.is_stale}
-        | {"values": {key: _json_value(text) for key, text in view.values.items()}}
-        for view in watch.view(now)
-    ]
+    """Everything known at a time [s], schema ``hd_diag/watch/1``."""
+    joints = [view._asdict() for view in watch.view(now)]
     return dict(json_ready({"schema": "hd_diag/watch/1", "joints": joints, "missing": watch.missing()}))
 
 
-def _json_value(text: str) -> bool | int | float | str:
+def _level_name(level: int) -> str:
+    return _LEVELS[level] if level < len(_LEVELS) else f"level {level}"
+
+
+def _value(text: str) -> bool | int | float | str:
     if text in ("true", "false"):
         return text == "true"
     with contextlib.suppress(ValueError):
