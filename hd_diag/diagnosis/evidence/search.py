@@ -84,11 +84,8 @@ def searched(fit: LinearisedFit) -> list[Effect]:
     return [*causes, *(term for term in UNMODELLED_TERMS if fit.data.testable(term)[0])]
 
 
-def candidates(at: Set, apart: Item | None = None) -> list[Candidate]:
-    """Every cause that is not in a set, at its best grid point beside it; the best first.
-
-    A cause with the choices of the one set `apart` is ranked beside the same with others.
-    """
+def candidates(at: Set) -> list[Candidate]:
+    """Every cause that is not in a set, at its best grid point beside it; the best first."""
     fit, chosen = at.fit, at.chosen
     rest = fit.remainder(chosen)
     points: dict[str, tuple[Effect, tuple[float, ...]]] = {}
@@ -100,16 +97,15 @@ def candidates(at: Set, apart: Item | None = None) -> list[Candidate]:
             if fit.white(effect, nonlinear).shape[1]:
                 points[f"{effect.name}/{number}"] = (effect, nonlinear)
     evidence = at.evidence(points.items())
-    now, best = evidence.log(at.widths), dict[tuple[str, bool], Candidate]()
+    now, best = evidence.log(at.widths), dict[str, Candidate]()
     for widths in _smaller(at):
         loss = now - evidence.log(widths)
         for key, (gain, width) in evidence.gains(widths, points).items():
             item = points[key]
             whole = gain + presence(fit, item[0]) - loss
             one = Candidate(item[0].name, item, whole, {**widths, item[0].name: width})
-            kind = one.name, apart is not None and _itself(item) == _itself(apart)
-            if kind not in best or best[kind].gain < one.gain:
-                best[kind] = one
+            if one.name not in best or best[one.name].gain < one.gain:
+                best[one.name] = one
     return sorted(best.values(), key=lambda one: -one.gain)
 
 
@@ -308,15 +304,16 @@ def _exchanged(now: Set, known: Instead) -> tuple[Set | None, Instead]:
         if effect.name in known:
             instead[effect.name] = known[effect.name]
             continue
-        bare, itself = now.without(effect.name), _itself((effect, nonlinear))
-        without = bare.settled()
-        trials, ranked = [without], candidates(bare, (effect, nonlinear))
-        own = max((one.gain for one in ranked if _itself(one.item) == itself), default=math.inf)
+        without = now.without(effect.name).settled()
+        trials, itself = [without], (effect.name, _choices(effect, nonlinear))
+        ranked = candidates(without)
+        own = max((one.gain for one in ranked if one.name == effect.name), default=math.inf)
         # What settling will bring more, it brings the cause itself as well.
         least = min(now.value - without.value, own) - _CLOSE
-        for one in ranked[: _RIVALS + 1]:
-            if _itself(one.item) != itself and one.gain > least:
-                there = bare.beside(one.item, one.widths).settled()
+        for one in ranked[:_RIVALS]:
+            other = one.name, _choices(*one.item)
+            if other != itself and one.gain > least:
+                there = without.beside(one.item, one.widths).settled()
                 there = there.polished() if there.value > now.value - _NEARLY else there
                 trials += [there] if there.sensible and there.foretells(one.name) else []
         best = max(trials, key=lambda one: one.value)
@@ -327,11 +324,10 @@ def _exchanged(now: Set, known: Instead) -> tuple[Set | None, Instead]:
     return None, instead
 
 
-def _itself(item: Item) -> tuple[str, tuple[float, ...]]:
-    """A cause's name with the discrete ones of its nonlinear values: which tooth, which form."""
-    effect, nonlinear = item
+def _choices(effect: Effect, nonlinear: tuple[float, ...]) -> tuple[float, ...]:
+    """The discrete ones of an effect's nonlinear values: which tooth, which form."""
     pairs = zip(effect.nonlinear, nonlinear, strict=True)
-    return effect.name, tuple(value for quantity, value in pairs if quantity.discrete)
+    return tuple(value for quantity, value in pairs if quantity.discrete)
 
 
 def _along_datum_in_time(best: Set, rows: int) -> tuple[Set, float]:
