@@ -139,9 +139,8 @@ def test_a_torque_that_hardly_changes_is_in_no_other_unit() -> None:
 
 @pytest.mark.parametrize(
     ("family", "seed"),
-    [("robot_pair", 125), ("robot_single", 1_000_000_836)],
+    [pytest.param("robot_pair", 125, marks=pytest.mark.slow), ("robot_single", 1_000_000_836)],
 )
-@pytest.mark.slow
 def test_gravity_that_goes_with_the_place_has_no_other_sign(family: str, seed: int) -> None:
     """Beside waves of the output's turn the torsion comes out as -1.2 and -2.6 times the configured one."""
     assert not screened(generated(families.made(family, seed)), CONFIGURED).findings
@@ -228,8 +227,10 @@ def test_a_torque_of_another_joint_is_left_out() -> None:
         assert same is kept
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 1, 2])
+SEEDS = pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
+
+
+@SEEDS
 def test_friction_that_misleads_one_fit_is_no_wrong_torque(seed: int) -> None:
     """Of 3.5 N m, which no parameter knows: held-out runs are foretold worse with torque, all others not."""
     record = screened(generated(families.made("robot_pair", 1_000_000_834)), CONFIGURED).record
