@@ -13,7 +13,15 @@ from hd_diag.diagnosis import diagnosis
 from hd_diag.diagnosis.calibration import MISFIT
 from hd_diag.diagnosis.diagnosis import _NO_CAUSES, _described
 from hd_diag.diagnosis.evidence.naming import standings
-from hd_diag.diagnosis.evidence.search import _with_torque_zero, begun, candidates, restarted, search
+from hd_diag.diagnosis.evidence.search import (
+    _kinds,
+    _next,
+    _with_torque_zero,
+    begun,
+    candidates,
+    restarted,
+    search,
+)
 from hd_diag.diagnosis.evidence.solution import Solution, motor_deviations, parameters_of, solution
 from hd_diag.diagnosis.evidence.unexplained import with_table
 from hd_diag.diagnosis.evidence.unmodelled_terms import UNMODELLED_TERMS
@@ -243,6 +251,15 @@ def test_the_cause_is_first_and_what_is_chosen_is_no_candidate() -> None:
     beside = candidates(at.beside(first.item, first.widths).settled())
     assert "hysteresis" not in {one.name for one in beside}
     assert max(one.gain for one in beside) < 0.1 * first.gain
+
+
+def test_a_set_that_was_left_for_another_is_not_gone_back_to() -> None:
+    at = begun(bench(OVAL))
+    found = _next(at, set())
+    assert found is not None
+    assert found.names == {"circular_spline_form"}
+    again = _next(at, {_kinds(found.causes)})
+    assert again is None or _kinds(again.causes) != _kinds(found.causes)
 
 
 def test_what_a_candidate_brings_is_the_evidence_of_the_set_with_it() -> None:

@@ -130,6 +130,8 @@ def begun(fit: LinearisedFit) -> Set:
 
 
 Instead = dict[str, dict[str, float]]
+Kind = tuple[str, tuple[float, ...]]  # a cause's name and choices
+Left = set[frozenset[Kind]]
 
 
 @dataclass(frozen=True)
@@ -191,11 +193,11 @@ def search(
     better, reach = _along_datum_in_time(scanned, rows)
     if better is not scanned:
         minima.insert(0, better)
-    instead = Instead()
+    instead, left = Instead(), Left()
     with work.until(SEARCHED, FURTHER_CAUSES):
         for turn in range(_TURNS):
             _tell(work, 0.0, turn, f"looking for cause {len(minima[0].causes) + 1}")
-            found, instead = _better(minima[0].clear().relearned(), {})
+            found, instead = _better(minima[0].clear().relearned(), {}, left)
             if found is None:
                 break
             least = _on_rows(minima[0], rows) - _HOPELESS
@@ -204,12 +206,12 @@ def search(
     if minima[0] is not scanned:
         minima[0], reach = _along_datum_in_time(minima[0], rows)
     best, known = minima[0].moved_to(every).settled(_TO_MINIMUM).relearned(), _plain(instead)
-    instead = known
+    instead, left = known, Left()
     with work.until(SEARCHED, FURTHER_CAUSES):
         for turn in range(_TURNS):
             _tell(work, 0.5, turn, "weighing causes on all rows")
             now = best.clear().relearned()
-            found, instead = _better(now, known)
+            found, instead = _better(now, known, left)
             best = now if found is None else found
             if found is None:
                 break
@@ -223,13 +225,19 @@ def _tell(work: Work, half: float, turn: int, text: str) -> None:
     work.tell(_FIRST + (SEARCHED - _FIRST) * share, text)
 
 
-def _better(now: Set, known: Instead) -> tuple[Set | None, Instead]:
+def _better(now: Set, known: Instead, left: Left) -> tuple[Set | None, Instead]:
     """A set with one cause more, or another in the place of one; None where none is better.
 
-    Of some causes it may be `known` that nothing is.
+    Of some causes it may be `known` that nothing is. Sets that are `left` for others are not gone back to:
+    with noise learned beside each of two sets the other one may seem better.
     """
-    found = _next(now) if len(now.causes) < _MOST else None
-    return (_fewer(found), known) if found is not None else _exchanged(now, known)
+    found = _next(now, left) if len(now.causes) < _MOST else None
+    if found is not None:
+        return _fewer(found), known
+    found, instead = _exchanged(now, known, left)
+    if found is not None:
+        left.add(_kinds(now.causes))
+    return found, instead
 
 
 def _plain(instead: Instead) -> Instead:
@@ -297,7 +305,7 @@ def _with_torque_zero(at: Set, zero: float) -> Set | None:
     return there.clear().settled(8)
 
 
-def _exchanged(now: Set, known: Instead) -> tuple[Set | None, Instead]:
+def _exchanged(now: Set, known: Instead, left: Left) -> tuple[Set | None, Instead]:
     """A better set with another cause in the place of one, if there is any; and what was weighed for each."""
     instead = Instead()
     for effect, nonlinear in now.causes:
@@ -305,29 +313,33 @@ def _exchanged(now: Set, known: Instead) -> tuple[Set | None, Instead]:
             instead[effect.name] = known[effect.name]
             continue
         without = now.without(effect.name).settled()
-        trials, itself = [without], (effect.name, _choices(effect, nonlinear))
+        trials, itself = [without], _kind((effect, nonlinear))
         ranked = candidates(without)
         own = max((one.gain for one in ranked if one.name == effect.name), default=math.inf)
         # What settling will bring more, it brings the cause itself as well.
         least = min(now.value - without.value, own) - _CLOSE
         for one in ranked[:_RIVALS]:
-            other = one.name, _choices(*one.item)
-            if other != itself and one.gain > least:
+            if _kind(one.item) != itself and one.gain > least:
                 there = without.beside(one.item, one.widths).settled()
                 there = there.polished() if there.value > now.value - _NEARLY else there
                 trials += [there] if there.sensible and there.foretells(one.name) else []
         best = max(trials, key=lambda one: one.value)
-        if best.value > now.value:
+        if best.value > now.value and _kinds(best.causes) not in left:
             return best, {}
         odds = {"".join(one.names - without.names): one.value - now.value for one in trials}
         instead[effect.name] = odds | {"": max(odds[""], without.by_own_noise() - now.by_own_noise())}
     return None, instead
 
 
-def _choices(effect: Effect, nonlinear: tuple[float, ...]) -> tuple[float, ...]:
-    """The discrete ones of an effect's nonlinear values: which tooth, which form."""
+def _kind(item: Item) -> Kind:
+    """A cause's name and the discrete ones of its nonlinear values: which tooth, which form."""
+    effect, nonlinear = item
     pairs = zip(effect.nonlinear, nonlinear, strict=True)
-    return tuple(value for quantity, value in pairs if quantity.discrete)
+    return effect.name, tuple(value for quantity, value in pairs if quantity.discrete)
+
+
+def _kinds(causes: Sequence[Item]) -> frozenset[Kind]:
+    return frozenset(map(_kind, causes))
 
 
 def _along_datum_in_time(best: Set, rows: int) -> tuple[Set, float]:
@@ -385,9 +397,10 @@ def _at_minima(found: Set, others: list[Set], rng: np.random.Generator) -> list[
     return sets
 
 
-def _next(now: Set) -> Set | None:
+def _next(now: Set, left: Left) -> Set | None:
     """The set with one cause more, settled; None where none is worth its cost and foretold."""
-    ranked = [one for one in candidates(now) if one.gain > 0.0]
+    new = (one for one in candidates(now) if _kinds((*now.causes, one.item)) not in left)
+    ranked = [one for one in new if one.gain > 0.0]
     for _ in range(_AGAIN):
         if not ranked:
             break
