@@ -163,7 +163,6 @@ class TestContract:
             assert quantity.low < quantity.high
             assert quantity.prior_scale > 0.0
             assert quantity.periodic is None or quantity.unit == "rad"
-            assert all(quantity.allows(choice) for choice in quantity.choices)
         assert effect.wanders_by in ("", *(q.name for q in effect.nonlinear if q.discrete))
         assert effect.formula or type(effect).__doc__
         assert not effect.own_slopes or not effect.proportional
@@ -196,7 +195,6 @@ class TestContract:
                 for value, quantity in zip(start, effect.nonlinear, strict=True):
                     assert quantity.low <= value <= quantity.high
         assert effect.starts(signals, residual).trials == trials >= len(grid)
-        assert all(len(other) == len(effect.nonlinear) for other in effect.neighbours(signals, grid[0]))
 
     def test_zero_size_is_no_effect(self, effect: Effect, signals: Signals) -> None:
         columns = effect.columns(signals, truth(effect)[1])

@@ -80,7 +80,7 @@ def shaped(name: str, sizes: list[float], nonlinear: tuple[float, ...] = ()) -> 
 
 OVAL = shaped("circular_spline_form", [0.0, 0.0, 1.44e-6, 1.08e-6], (1.0,))
 PITCH = shaped("circular_spline_pitch", [2e-6, 1e-6, 1.5e-6, 0.5e-6, 0.4e-6, 0.3e-6])
-HURT = next(p for p in EFFECTS["tooth_damage"].neighbours(bench().signals, (0.0, 2.0)) if p[0] == 0.0)
+HURT = (0.0, 60 * CONFIGURED.mesh.geometry.slot_pitch)
 AGAINST = {"bending_reach": 9.0, "sharpness": 1.6, "slipping_reach": 2.0, "spread": 1.5}
 
 

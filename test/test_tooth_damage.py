@@ -77,15 +77,3 @@ def test_flanks_bear_one_torque_each(signals: Signals, member: float) -> None:
     assert_allclose(both, parts[0] + parts[1], rtol=1e-12, atol=1e-18)
     loaded = np.abs(signals.torque) > 5.0
     assert not np.any((parts[0] != 0.0) & (parts[1] != 0.0) & loaded)
-
-
-@MEMBERS
-@pytest.mark.parametrize("number", [0, 1, 77, 199])
-def test_neighbours_on_both_sides_and_at_the_other_lobe(signals: Signals, member: float, number: int) -> None:
-    count = 202 if member == SLOT else 200
-    found = EFFECT.neighbours(signals, (member, number * PITCH[member]))
-    away = [-2, -1, 1, 2, count // 2 - 1, count // 2, count // 2 + 1]
-    assert [kind for kind, _ in found] == [member] * len(away)
-    expected = [(number + one) % count * PITCH[member] for one in away]
-    assert_allclose([position for _, position in found], expected, atol=1e-12)
-    assert all(0.0 <= position < 2 * math.pi for _, position in found)

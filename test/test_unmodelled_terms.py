@@ -215,20 +215,20 @@ def test_a_line_of_the_output_is_found_over_part_of_its_turn() -> None:
     }
     assert len(kind) == 1
     assert max(left, key=left.__getitem__) == 45.0
-    assert {(44.0,), (46.0,)} >= set(LINE.neighbours(signals, (45.0,)))
 
 
 @pytest.mark.parametrize("number", [3, 64, 72, 100, 128, 180, 195])
 def test_a_line_is_not_the_gear_s_nor_an_encoder_s(number: int) -> None:
     signals = made(np.repeat([63.0, -63.0], 300))
-    beside = LINE.neighbours(signals, (number - 1.0,)) + LINE.neighbours(signals, (number + 1.0,))
-    assert (float(number),) not in beside
+    starts = LINE.starts(signals, np.cos(number * signals.output_angle - 1.0))
+    assert (float(number),) not in starts.points
 
 
 def test_a_line_beside_the_gear_s_order_is_one() -> None:
     """Else a ripple at the gear's own order, which torque by position widens, is named for it."""
     signals = made(np.repeat([63.0, -63.0], 300))
-    assert LINE.neighbours(signals, (98.0,)) == [(97.0,), (99.0,)]
+    starts = LINE.starts(signals, np.cos(98.0 * signals.output_angle - 1.0))
+    assert {(97.0,), (98.0,), (99.0,)} <= {*starts.points}
 
 
 def test_a_joint_that_hardly_moves_shows_no_line() -> None:

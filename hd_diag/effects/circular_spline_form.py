@@ -52,9 +52,7 @@ EFFECT = CircularSplineForm(
     proportional=False,
     quantities=(
         *lobes("radial", ORDERS, "radial form error with {} lobes", "angle in the circular spline of a lobe"),
-        switch(
-            "bending", "0: cut out of round, 1: bent, so that the circumference keeps its length", (0.0, 1.0)
-        ),
+        switch("bending", "0: cut out of round, 1: bent, so that the circumference keeps its length"),
     ),
     confused_with=(
         "circular_spline_pitch",

@@ -13,8 +13,6 @@ from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.recursions import lag
 from hd_diag.effects.signals import Signals
 
-_WAYS = (0.02, 0.03, 0.045, 0.068, 0.1, 0.15, 0.23, 0.34)  # [rad]: a reversal in short rows fits one of many
-
 # Time [s] and input angle [rad] of the last sample, None before the first; z.
 State = tuple[tuple[float, float] | None, float]
 
@@ -61,9 +59,7 @@ EFFECT = CoulombWindup(
     grid=((0.003, 0.1, 0.0, 10.0), (0.003, 1.0, 0.5, 3.0), (0.3, 0.0, 0.0, 3.0), (0.05, 0.0, 0.5, 10.0)),
     quantities=(
         Quantity("friction", "N m", 0.0, 1e3, 1.0, "a, while the joint moves", strict=True),
-        Quantity(
-            "way", "rad", 1e-4, 30.0, 0.1, "x_0, of the input, over which it builds up", False, choices=_WAYS
-        ),
+        Quantity("way", "rad", 1e-4, 30.0, 0.1, "x_0, of the input, over which it builds up", False),
         Quantity(
             "creep_speed", "rad/s", 0.0, 3.0, 0.1, "omega_0, of the input; 0: kept at rest", False, shape=True
         ),

@@ -51,7 +51,7 @@ EFFECT = CouplingMisalignment(
         Quantity(
             "play", "rad", 0.0, _MOST_PLAY, 2e-4, "free angle between the shafts in the coupling", strict=True
         ),
-        switch("plays", "1: with play", (0.0, 1.0)),
+        switch("plays", "1: with play"),
     ),
     confused_with=("circular_spline_pitch", "circular_spline_form", "flexspline_pitch"),
     source=(

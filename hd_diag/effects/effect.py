@@ -171,15 +171,6 @@ class Effect:
         """Start values of the nonlinear quantities: a grid, or those that fit a residual [rad], (n,)."""
         return Starts.grid(self.grid)
 
-    def neighbours(self, signals: Signals, nonlinear: Values) -> list[Values]:
-        """Other discrete values that a search should compare when everything else is fitted."""
-        return [
-            (*nonlinear[:index], choice, *nonlinear[index + 1 :])
-            for index, quantity in enumerate(self.nonlinear)
-            for choice in quantity.choices
-            if choice != nonlinear[index]
-        ]
-
     def testable(self, signals: Signals) -> Verdict:
         """Whether the record's motion allows to find it; if not, the shortest extra motion that would."""
         verdicts = (check(signals) for check in self.excitation)

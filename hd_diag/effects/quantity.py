@@ -34,9 +34,6 @@ class Quantity:
         Period of a direction or position [rad]; ``2 pi / k`` for a k-lobed error.
     discrete : bool
         Whether only the values that the effect's start points have make sense: not to be refined.
-    choices : tuple of float
-        Values that a search should compare when everything else is fitted: all of a discrete quantity, some
-        of one that may fit at several.
     power : int
         Power of it that the coefficient is: 2 where the error grows with its square.
     strict : bool
@@ -54,7 +51,6 @@ class Quantity:
     linear: bool = True
     periodic: float | None = None
     discrete: bool = False
-    choices: tuple[float, ...] = ()
     power: int = 1
     strict: bool = False
     shape: bool = False
@@ -75,16 +71,14 @@ def direction(name: str, meaning: str, order: int = 1) -> Quantity:
     return Quantity(name, "rad", 0.0, period, period, meaning, periodic=period)
 
 
-def choice(name: str, meaning: str, values: tuple[float, ...], choices: tuple[float, ...] = ()) -> Quantity:
-    """One of some numbers, rising; `choices` as of a `Quantity`."""
-    return Quantity(
-        name, "-", values[0], values[-1], 1.0, meaning, linear=False, discrete=True, choices=choices
-    )
+def choice(name: str, meaning: str, values: tuple[float, ...]) -> Quantity:
+    """One of some numbers, rising."""
+    return Quantity(name, "-", values[0], values[-1], 1.0, meaning, linear=False, discrete=True)
 
 
-def switch(name: str, meaning: str, choices: tuple[float, ...] = ()) -> Quantity:
+def switch(name: str, meaning: str) -> Quantity:
     """Which of two forms an effect has, 0 or 1."""
-    return choice(name, meaning, (0.0, 1.0), choices)
+    return choice(name, meaning, (0.0, 1.0))
 
 
 def lobes(

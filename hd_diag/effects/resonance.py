@@ -263,7 +263,7 @@ EFFECT = Resonance(
             "c, share of the gear's own ripple that passes the spring",
             shape=True,
         ),
-        choice("order", "n, exciting order of the wave generator's turn", ORDERS, ORDERS),
+        choice("order", "n, exciting order of the wave generator's turn", ORDERS),
         Quantity("natural_frequency", "rad/s", LOWEST, 1e4, 100.0, "omega_n, undamped", linear=False),
         Quantity("damping", "-", 2e-3, 0.5, 0.03, "zeta, share of the critical one", linear=False),
     ),

@@ -59,14 +59,6 @@ class ToothDamage(Effect):
         ]
         return Starts(list(dict.fromkeys(best)), trials)
 
-    def neighbours(self, signals: Signals, nonlinear: Values) -> list[Values]:
-        """The teeth on both sides, and those at the other lobe."""
-        member, position = nonlinear
-        pitch = _pitch(signals.contact.drive.mesh.geometry, member)
-        tooth, half = round(position / pitch), round(np.pi / pitch)
-        teeth = [tooth + away for away in (-2, -1, 1, 2, half - 1, half, half + 1)]
-        return [(member, pitch * (other % round(2.0 * np.pi / pitch))) for other in teeth]
-
     def _gain(self, signals: Signals, residual: Floats, nonlinear: Values) -> float:
         """What a slot or tooth explains of the sum of squares of the residual [rad^2]."""
         columns = self.columns(signals, nonlinear)

@@ -46,8 +46,8 @@ EFFECT = MeshTorque(
     grid=((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)),
     quantities=(
         *(quantity for order in ORDERS for quantity in _quantities(order)),
-        switch("turns", "0: the gauges stand in the housing, 1: they turn with the flexspline", (0.0, 1.0)),
-        switch("others", "1: orders 1 and 4 too", (0.0, 1.0)),
+        switch("turns", "0: the gauges stand in the housing, 1: they turn with the flexspline"),
+        switch("others", "1: orders 1 and 4 too"),
     ),
     confused_with=("circular_spline_pitch", "circular_spline_form", "coupling_misalignment"),
     source="Hashimoto, Shibata, Kosuge, Joint torque sensory feedback, ICRA 1993: built-in sensing",

@@ -133,11 +133,6 @@ class OutputLine(UnmodelledTerm):
         around = np.unique(peaks[:, None] + np.array([-1, 0, 1]))
         return Starts([(float(one),) for one in np.intersect1d(around, numbers)], numbers.size)
 
-    def neighbours(self, signals: Signals, nonlinear: Values) -> list[Values]:
-        """The numbers beside."""
-        beside = np.array([nonlinear[0] - 1.0, nonlinear[0] + 1.0])
-        return [(float(one),) for one in np.intersect1d(beside, _line_numbers(signals))]
-
 
 @dataclass(frozen=True, kw_only=True)
 class InputLine(UnmodelledTerm):
