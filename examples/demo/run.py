@@ -244,7 +244,7 @@ def _missing(
         found.append("the predicted transmission error did not grow with the eccentricity")
     if not any(refusals):
         found.append("the value that cannot be was not refused")
-    states = {str(report.values.get("log_state")) for step in steps for report in step.reports}
+    states = {str(report.values.get("log_state", "")) for step in steps for report in step.reports}
     found += [f"the log was {state}" for state in sorted(states) if not state.startswith("writing")]
     logged = log.counts["/joint_states"]
     if logged != published or logged < 1:

@@ -57,9 +57,8 @@ class Step:
 
     def text(self, key: str) -> str | None:
         """The most frequent text of all reports."""
-        return (
-            statistics.mode(str(report.values.get(key)) for report in self.reports) if self.reports else None
-        )
+        texts = [str(report.values.get(key, "")) for report in self.reports]
+        return statistics.mode(texts) if texts else None
 
     def summary(self) -> dict[str, Any]:
         """Values by diagnostics key, nan or None where there is none."""

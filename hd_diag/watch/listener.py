@@ -46,10 +46,8 @@ class Listener(Node):
 
     def diagnose(self) -> None:
         """Ask the watched nodes for a diagnosis; their answers are shown."""
-        there, clients = (
-            dict(self.get_service_names_and_types()),
-            {each.srv_name: each for each in self.clients},
-        )
+        there = dict(self.get_service_names_and_types())
+        clients = {each.srv_name: each for each in self.clients}
         self._watch.answers.clear()
         for node in {view.node for view in self._watch.view(0.0)}:
             if (name := f"{node}/diagnose") in there:

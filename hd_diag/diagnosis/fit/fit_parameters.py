@@ -78,10 +78,8 @@ _OTHER_END[TILT] = -1.0
 _SIGNS = -np.ones(len(SCALES))  # that swapped lobes give
 _SIGNS[_SINGLE] = 1.0
 
-_STEPS_PER_TOOTH, _LEAST_STEPS = (
-    4,
-    2,
-)  # nodes along a record; sections bear one after the other and need fewer
+# Nodes along a record, from one section to many: these bear one after the other, and fewer are as exact.
+_STEPS_PER_TOOTH, _LEAST_STEPS = 4, 2
 _NODES_PAY = 1.5  # samples per node from which they do
 
 
