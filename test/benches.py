@@ -1,10 +1,11 @@
 """Linearised fits of records of the package's own drive with something added, for tests of the search."""
 
 import dataclasses
+import functools
 from collections.abc import Callable
 
 import numpy as np
-from joint_records import NOISE, RATIO, columns, joint, prepared
+from joint_records import NOISE, RATE, RATIO, joint, prepared
 
 from hd_diag.diagnosis.evidence.naming import Standing
 from hd_diag.diagnosis.evidence.sets import Remainders, Set
@@ -25,23 +26,28 @@ EFFECTS = {effect.name: effect for effect in CATALOGUE}
 Part = Callable[[Signals], np.ndarray]
 
 
+@functools.cache
 def swinging(seconds: float = 20.0, seed: int = 0, drive: Drive = TRUE) -> Record:
     """A joint that moves up and down at several speeds under torques of both signs, with nested reversals."""
-    given = columns(seconds, seed=seed)
-    time = given["time"]
+    time = np.arange(round(seconds * RATE)) / RATE
     angle = 60.0 * np.sin(2.0 * np.pi * time / 10.0) + 25.0 * np.sin(2.0 * np.pi * time / 3.1)
     torque = 30.0 * np.sin(2.0 * np.pi * time / 5.3) + 18.0 * np.sin(2.0 * np.pi * time / 1.7)
     noise = NOISE * np.random.default_rng(seed).standard_normal(time.size)
     output = angle / RATIO + transmission_error(drive, angle, torque) + noise
-    return prepared({**given, "input": angle, "output": output, "torque": torque})
+    return prepared({"time": time, "input": angle, "output": output, "torque": torque})
 
 
 def bench(*parts: Part, record: Record | None = None) -> LinearisedFit:
     """At the true parameters, settled beside nothing; the parts are added to the error [rad]."""
-    plain = linearise(record or swinging(), CONFIGURED, POINT)
+    plain = linearise(record, CONFIGURED, POINT) if record else _plain()
     added = sum((part(plain.signals) for part in parts), np.zeros(plain.data.record.size))
     moved = dataclasses.replace(plain.data.record, output_angle=plain.data.record.output_angle + added)
     return linearise(moved, CONFIGURED, POINT).with_noise(())
+
+
+@functools.cache
+def _plain() -> LinearisedFit:
+    return linearise(swinging(), CONFIGURED, POINT)
 
 
 def of(effect: Effect, **values: float) -> Part:

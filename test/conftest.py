@@ -19,6 +19,7 @@ import hypothesis
 import pytest
 
 import hd_diag
+from hd_diag.diagnosis.accuracy import accuracy
 from hd_diag.model.mesh import Mesh
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -126,6 +127,23 @@ def kept_memory() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         for module in ("preparation", "map_builder"):
             patch.setattr(f"hd_diag.replay.{module}.give_back", lambda: None, raising=False)
+        yield
+
+
+@pytest.fixture(scope="module")
+def accuracy_once() -> Iterator[None]:
+    """A record's accuracy is computed once: hundreds of answers ask for it, a tenth of a second each."""
+    known: dict[Any, Any] = {}
+
+    def once(record: Any, kinematics: Any, torque: float, orders: list[float], noise: Any) -> Any:
+        key = id(record), kinematics, torque, tuple(orders), noise
+        known[key] = (
+            known[key] if key in known else (accuracy(record, kinematics, torque, orders, noise), record)
+        )
+        return known[key][0]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("hd_diag.diagnosis.judgement.accuracy", once)
         yield
 
 

@@ -1,5 +1,6 @@
 """Records of a joint made from the package's own drive, for tests that need no independent truth."""
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,11 @@ def columns(seconds: float = 20.0, rate: float = RATE, seed: int = 0) -> dict[st
 
     Through zero torque the teeth change flanks within a few samples, which looks like outliers.
     """
+    return {name: column.copy() for name, column in _columns(seconds, rate, seed).items()}
+
+
+@functools.cache
+def _columns(seconds: float, rate: float, seed: int) -> dict[str, np.ndarray]:
     time = np.arange(round(seconds * rate)) / rate
     angle = 60.0 * np.sin(2.0 * np.pi * time / 10.0)
     torque = 30.0 + 15.0 * np.sin(2.0 * np.pi * time / 3.7)

@@ -98,11 +98,21 @@ def test_text_has_units_resolution_and_every_criterion(whole: tuple[dict[str, An
     assert max(map(len, tables)) <= 90  # the widest is what its columns need
 
 
-def test_svg_and_several_torques_without_assemblies(tmp_path: Path) -> None:
+@pytest.fixture
+def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A search up to 1 um need not be fine."""
+    steps = {"STEPS": 2, "CHART_STEPS": 2, "_ROUNDS": 1, "_SEARCH": (12, 2), "_SEARCH_OF_JUMPS": (12, 2)}
+    for name, value in steps.items():
+        monkeypatch.setattr(f"hd_diag.tolerance.limit.{name}", value)
+
+
+NONE = ("--samples", "0", "--sensitivity-samples", "0", "--jobs", "1", "--largest-um", "1")
+
+
+def test_svg_and_several_torques_without_assemblies(coarse: None, tmp_path: Path) -> None:
     svg, file = tmp_path / "a.svg", tmp_path / "a.json"
-    none = ("--samples", "0", "--sensitivity-samples", "0", "--jobs", "1", "--largest-um", "1")
     torques = ("--torque", "14", "--torque", "-56")
-    result = hd_diag("tolerance", *none, *torques, "--json", file, "--figure", svg)
+    result = hd_diag("tolerance", *NONE, *torques, "--json", file, "--figure", svg)
     found = json.loads(file.read_text())
     assert found["torques"] == [14.0, -56.0]
     assert {found[name] for name in ("assemblies", "sensitivity", "allowed", "tilt")} == {None}
@@ -112,19 +122,12 @@ def test_svg_and_several_torques_without_assemblies(tmp_path: Path) -> None:
     assert "eccentricity" in svg.read_text()
 
 
-def test_a_drive_in_sections_has_limits_of_its_tilt_and_a_chart(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A coarse search up to 1 um, within which only what coning brings is too much."""
-    coarse = {"STEPS": 2, "CHART_STEPS": 2, "_ROUNDS": 1, "_SEARCH": (12, 2), "_SEARCH_OF_JUMPS": (12, 2)}
-    for name, value in coarse.items():
-        monkeypatch.setattr(f"hd_diag.tolerance.limit.{name}", value)
+def test_a_drive_in_sections_has_limits_of_its_tilt_and_a_chart(coarse: None, tmp_path: Path) -> None:
+    """Up to 1 um only what coning brings is too much."""
     config = config_file(tmp_path, face_width=11e-3, cup_length=0.04, sections=2)
-    none = ("--samples", "0", "--sensitivity-samples", "0", "--jobs", "1", "--largest-um", "1")
     svg, file = tmp_path / "a.svg", tmp_path / "a.json"
-    result = hd_diag(
-        "tolerance", *none, "--config", config, "--overlap-um", "1", "--json", file, "--figure", svg
-    )
+    given = ("--config", config, "--overlap-um", "1", "--json", file, "--figure", svg)
+    result = hd_diag("tolerance", *NONE, *given)
     assert (result.exit_code, result.stderr) == (0, "")
     tilt = json.loads(file.read_text())["tilt"]
     arm = 11e-3 / 2 / np.sqrt(3.0)  # of two Gauss-Legendre points

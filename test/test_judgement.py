@@ -17,6 +17,8 @@ from hd_diag.diagnosis.statements import sentence
 from hd_diag.diagnosis.verdict import as_json
 from hd_diag.effects.remainders import TORQUE
 
+pytestmark = pytest.mark.usefixtures("accuracy_once")
+
 ARCSEC = np.pi / 648000.0
 MISFIT = Rms(*(ARCSEC * v for v in (20.0, 19.5, 19.0, 19.0, 19.0, 19.0, 1.0, 0.9, 1.1)))
 NEAR = Rms(*(ARCSEC * v for v in (20.0, 19.5, 1.25, 1.25, 1.25, 1.25, 1.0, 0.89, 1.07)))

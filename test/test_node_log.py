@@ -157,7 +157,7 @@ def test_every_start_has_a_log_and_what_retention_leaves_replays(tmp_path: Path)
         diagnostics_rate=20.0,
         log__path=str(tmp_path / "arm"),
         log__split_duration=0.5,
-        log__max_age=10.0,
+        log__max_age=5.0,
         log__topics="inputs",
     )
     starts = []

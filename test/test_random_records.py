@@ -28,14 +28,14 @@ def assert_ended_well(words: tuple[str, ...], config: Path) -> None:
     assert len(result.stderr.splitlines()) == (result.exit_code == 2 and not result.stdout)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2, 3, 4, 6, 7, 8, 9])  # 5 takes as long as all of these
+@pytest.mark.parametrize("seed", [0, 1, 2, 7])  # every verb
 def test_records_of_any_make(seed: int, gears: list[Path], tmp_path: Path) -> None:
     made = case(seed, tmp_path)
     assert_ended_well(made.arguments, gears[made.gear])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [5, *range(100, 500), 2023, 2200])  # the last two failed once
+@pytest.mark.parametrize("seed", [3, 4, 5, 6, 8, 9, *range(100, 500), 2023, 2200])  # the last two failed once
 def test_many_records_of_any_make(seed: int, gears: list[Path], tmp_path: Path) -> None:
     made = case(seed, tmp_path)
     assert_ended_well(made.arguments, gears[made.gear])

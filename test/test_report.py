@@ -67,6 +67,12 @@ class Reader(HTMLParser):
         return [attributes for name, attributes in self.tags if name == tag]
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a page says beside its pictures, which take two seconds; such ones are drawn in other tests."""
+    monkeypatch.setattr("hd_diag.report.page.inline_svg", lambda *_, **__: "")
+
+
 def judged(name: str) -> Judgement:
     return judgement_of(joint_report(name))
 
@@ -156,7 +162,7 @@ def test_cards_are_sorted_by_size_and_leave_out_what_may_be_nothing() -> None:
     assert none == []
 
 
-def test_what_to_do_stands_first_then_how_bad_the_joint_is() -> None:
+def test_what_to_do_stands_first_then_how_bad_the_joint_is(undrawn: None) -> None:
     found, report = judged("output_runout"), joint_report("output_runout")
     told = as_json(diagnosis("output_runout"), "joint_1")
     part = r"\(\d+ of 90 arcsec peak to peak\)"
@@ -173,7 +179,7 @@ def test_what_to_do_stands_first_then_how_bad_the_joint_is() -> None:
     assert told["advice"].startswith("Inspect: output runout or output encoder eccentricity (")
 
 
-def test_what_is_usual_asks_for_nothing() -> None:
+def test_what_is_usual_asks_for_nothing(undrawn: None) -> None:
     """A loop as catalogues allow it, and an eccentricity within all limits: cards without an instruction."""
     made = dataclasses.replace(diagnosis("output_runout"), findings=())
     loop = cause_of("hysteresis")
@@ -205,7 +211,7 @@ def test_terms_are_explained_where_they_come_first() -> None:
     assert {"datum", "overlap", "interference", "lost motion", "windup"} <= set(TERMS)
 
 
-def test_stiffness_stands_beside_that_of_the_page_between_its_t1_and_t2() -> None:
+def test_stiffness_stands_beside_that_of_the_page_between_its_t1_and_t2(undrawn: None) -> None:
     config = resolve({f"joint_1.gear.{n}": value for n, value in table()["CSG-14-50"].given.items()})
     motion = InputRecord(np.arange(300) * 0.01, np.linspace(0.0, 20.0, 300), None, np.zeros(300, np.int64))
     found = of_motion(motion, config.joints[0], config.flat, "nothing")
@@ -449,6 +455,7 @@ def test_a_joint_that_the_bag_lacks_does_not_stop_the_others(
 ) -> None:
     """Told on stderr and in the JSON; the page has the others, and the exit code says that one is missing."""
     known_to_the_command_line(monkeypatch, "output_runout")
+    monkeypatch.setattr("hd_diag.report.page.page", lambda reports, *_: str([each.said for each in reports]))
     bag, out, told = tmp_path / "joint.mcap", tmp_path / "page.html", tmp_path / "told.json"
     records.write_bag(made("output_runout"), bag)
     config = tmp_path / "two.yaml"
@@ -464,4 +471,4 @@ def test_a_joint_that_the_bag_lacks_does_not_stop_the_others(
     assert len(result.stderr.splitlines()) == 1
     elbow, joint = json.loads(told.read_text())["joints"]
     assert (elbow["schema"], joint["schema"]) == ("hd_diag/not_judged/1", "hd_diag/diagnosis/1")
-    assert verb == "diagnose" or letters(joint["verdict"]) in letters(Reader(out.read_text("utf-8")).text)
+    assert verb == "diagnose" or letters(joint["verdict"]) in letters(out.read_text("utf-8"))

@@ -28,6 +28,8 @@ from hd_diag.effects import CATALOGUE
 from hd_diag.effects.remainders import ORDERS, PLACE, SPEED, TIME, TORQUE, Remainder
 from hd_diag.extended_model import ExtendedModel, Term
 
+pytestmark = pytest.mark.usefixtures("accuracy_once")
+
 CONFIGURED = joint().drive
 EFFECTS = {effect.name: effect for effect in CATALOGUE}
 
