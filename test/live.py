@@ -1,5 +1,6 @@
 """What the tests of the running monitor share: configurations, messages, what comes of them."""
 
+import functools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -8,6 +9,8 @@ import numpy as np
 from hd_diag.config.configuration import Config, resolve
 from hd_diag.messages.encoding import encode_joint_states
 from hd_diag.messages.publications import Encoded
+from hd_diag.model.torsion_map import TorsionMap
+from hd_diag.replay.map_builder import map_of
 from hd_diag.streams.columns import JointStates
 
 RATIO = 100.0
@@ -23,6 +26,18 @@ def parameters(*joints: str, **given: Any) -> dict[str, Any]:
 
 def config(*joints: str, **given: Any) -> Config:
     return resolve(parameters(*joints, **given))
+
+
+TWO = config("a", "b", array_rate=100.0, mesh_rate=30.0)
+OTHER_TWO = config(
+    "a", "b", array_rate=40.0, a__eccentricity__magnitude=7e-6, a__torque=-2.0, b__cup_compliance=1e-5
+)
+
+
+@functools.cache
+def map_of_two() -> TorsionMap:
+    """That of either joint of `TWO`: they have the same drive."""
+    return map_of(TWO.joints[0])
 
 
 def states(

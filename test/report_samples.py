@@ -20,6 +20,7 @@ from hd_diag.drive import Drive
 from hd_diag.effects import Catalogue
 from hd_diag.report.facts import Fact, JointReport, of_diagnosis
 from hd_diag.report.page import page
+from hd_diag.tolerance.study import with_allowed
 
 CAUSES = {"output_runout": 0, "input_encoder_eccentricity": 12}  # effect and development seed
 HOSTILE = "<script>alert(1)</script><img src=x onerror=alert(2)>$\\frac{1}{2}$]]>\"'&\u202egnp\x07"
@@ -82,6 +83,12 @@ def hostile_page() -> str:
     return page([joint_report("output_runout", **names)] * 2, [Fact(HOSTILE, HOSTILE)])
 
 
+@functools.cache
+def judged(name: str) -> Diagnosis:
+    """With the eccentricity that the drive may have, as a verb tells it."""
+    return with_allowed(diagnosis(name), config().flat, "joint_1")
+
+
 def known_to_the_command_line(monkeypatch: pytest.MonkeyPatch, name: str) -> list[tuple[Record, Catalogue]]:
     """From now on `hd-diag` has this diagnosis without computing it; gives what it had asked for."""
     asked: list[tuple[Record, Catalogue]] = []
@@ -90,10 +97,11 @@ def known_to_the_command_line(monkeypatch: pytest.MonkeyPatch, name: str) -> lis
         record: Record, drive: Drive, rng: np.random.Generator, progress: object, catalogue: Catalogue
     ) -> Diagnosis:
         asked.append((record, catalogue))
-        return diagnosis(name)
+        return judged(name)
 
     monkeypatch.setattr("hd_diag.cli.record.screened", lambda record, _: record)
     monkeypatch.setattr("hd_diag.cli.record.diagnose", known)
+    monkeypatch.setattr("hd_diag.cli.record.with_allowed", lambda found, *_: found)
     return asked
 
 

@@ -9,7 +9,7 @@ import hypothesis
 import numpy as np
 import pytest
 from hypothesis import strategies as st
-from live import MS, RATIO, START, config
+from live import MS, OTHER_TWO, RATIO, START, TWO, config, map_of_two
 from logs import content
 from models import write_model
 
@@ -18,17 +18,10 @@ from hd_diag.messages.encoding import encode_joint_states
 from hd_diag.messages.publications import JOINT_STATE, encode
 from hd_diag.monitor.all_joints import Monitor
 from hd_diag.monitor.publications import Publication
-from hd_diag.replay.map_builder import map_of
 from hd_diag.replay.replay import replay
 from hd_diag.streams.alignment import Alignment, Names
 from hd_diag.streams.columns import JointStates
 from hd_diag.streams.rules import REMEMBERED
-
-CONFIG = config("a", "b", array_rate=100.0, mesh_rate=30.0)
-OTHER = config(
-    "a", "b", array_rate=40.0, a__eccentricity__magnitude=7e-6, a__torque=-2.0, b__cup_compliance=1e-5
-)
-MAPS = {joint.name: map_of(joint) for joint in CONFIG.joints}
 
 # Names; which of position, velocity and effort there are.
 Shape = tuple[tuple[str, ...], str]
@@ -135,9 +128,9 @@ def play(
 
 
 EVENTS: dict[str, Callable[[Monitor], object]] = {
-    "configure": lambda monitor: monitor.configure(OTHER),
-    "back": lambda monitor: monitor.configure(CONFIG),
-    "maps": lambda monitor: [monitor.use_map(name, table) for name, table in MAPS.items()],
+    "configure": lambda monitor: monitor.configure(OTHER_TWO),
+    "back": lambda monitor: monitor.configure(TWO),
+    "maps": lambda monitor: [monitor.use_map(name, map_of_two()) for name in monitor.joints],
     "temperature": lambda monitor: monitor.temperature("a", 31.5),
     "window": Monitor.begin_window,
 }
@@ -158,8 +151,8 @@ def test_many_at_once_is_one_at_a_time(
     kind: str, seed: int, count: int, disorder: float, spoiled: float, sizes: list[int], **calls: Any
 ) -> None:
     messages = drawn(kind, random.Random(seed), count, disorder, spoiled, LAGS)
-    once = play(Monitor(CONFIG), messages, sizes, **calls)
-    assert once == play(Monitor(CONFIG), messages, [1], **calls)
+    once = play(Monitor(TWO), messages, sizes, **calls)
+    assert once == play(Monitor(TWO), messages, [1], **calls)
 
 
 def test_an_extended_model_runs_along_both_streams(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -180,7 +173,7 @@ def test_efforts_that_a_robot_does_not_measure_do_not_matter() -> None:
         for message in messages:
             if message.names == OUTPUTS[0]:
                 message.columns[2] = efforts
-        found.append(play(Monitor(CONFIG), messages, [100], {0: "maps"}))
+        found.append(play(Monitor(TWO), messages, [100], {0: "maps"}))
     assert found[0] == found[1]
 
 
@@ -335,7 +328,7 @@ def test_topics_that_alternate_are_as_one(tmp_path: Path) -> None:
                 data = encode_joint_states(entry.names, [entry.stamp], [entry.columns[0]], None, effort)
                 topic = topics[entry.names[0] == "a"]
                 writer.write(topic, JOINT_STATE, data[0].tobytes(), START + number // 2 * MS)
-        replay(tmp_path / f"{name}.mcap", tmp_path / f"{name}_out.mcap", CONFIG)
+        replay(tmp_path / f"{name}.mcap", tmp_path / f"{name}_out.mcap", TWO)
         found = content(tmp_path / f"{name}_out.mcap")
         outputs.append({topic: messages for topic, messages in found.items() if "hd_diag/" in topic})
         inputs = {topic: messages for topic, messages in found.items() if topic in topics}

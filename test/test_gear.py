@@ -64,6 +64,9 @@ PAGES = {
     "8/50": (8, 50, 1.8, 0.44, 0.67, 0.84, 0.29, 0.75),
     "65/160": (65, 160, 951.0, 540.0, 880.0, 980.0, 235.0, 843.0),
 }
+# These lie between the smallest and the largest, and repeat what the others show.
+BETWEEN = {"14/50", "17/100", "25/80", "32/120"}
+EACH_PAGE = [pytest.param(name, marks=[pytest.mark.slow] if name in BETWEEN else []) for name in PAGES]
 PLANE = {"joint_1.sections": 1}
 NAMES = ("size", "ratio", "rated_torque", "k1", "k2", "k3", "t1", "t2")
 
@@ -163,7 +166,7 @@ def check_page(config: Config) -> None:
     assert told.found.loads.rated <= 0.51 * config.flat["joint_1.limits.peak_tooth_load.warn"]
 
 
-@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.parametrize("name", EACH_PAGE)
 def test_a_page_becomes_a_drive_that_has_its_torsion_curve(name: str) -> None:
     config = of_page(name)
     assert config.joints[0].drive.kinematics.ratio == PAGES[name][1]
@@ -499,7 +502,7 @@ def test_limits_and_tolerances_go_with_the_drive() -> None:
     assert resolve({"joint_1.limits.overlap.error": 7e-6}).flat["joint_1.limits.overlap.error"] == 7e-6
 
 
-@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.parametrize("name", EACH_PAGE)
 def test_an_overlap_at_its_limit_does_the_same_to_every_gear(name: str) -> None:
     """At the warning a tooth bears about 1.45 times as much at the rated torque as without eccentricity.
 
@@ -520,7 +523,7 @@ def test_an_overlap_at_its_limit_does_the_same_to_every_gear(name: str) -> None:
     assert found.rated / tooth_loads(joint.drive).rated == pytest.approx(1.46, abs=0.06)
 
 
-@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.parametrize("name", EACH_PAGE)
 def test_defaults_of_tolerances_ask_the_same_of_every_gear(name: str) -> None:
     """The cup's spread is the same share of the whole compliance, and no gear's own ripple is a loss."""
     config = of_page(name)

@@ -55,6 +55,11 @@ CANNOT_BE = [
     ({"semi_minor": 30.3e-3}, "semi_major .* must be at least semi_minor"),
     ({"semi_minor": 20e-3}, "no more than 20 %"),
     ({"flexspline_teeth": 700, "circular_spline_teeth": 702}, "flexspline_tooth: wider than its pitch"),
+    ({"sections": 3}, "give face_width"),
+    ({"face_width": -1e-3}, "face_width"),
+    ({"sections": 0, "face_width": 0.01}, "sections must be at least 1"),
+    ({"cup_length": 4e-3, "face_width": 0.01, "sections": 3}, "must exceed half of face_width"),
+    ({"cup_length": 8e-3, "face_width": 0.011, "sections": 5}, "at the long axis of the section at"),
 ]
 
 

@@ -59,7 +59,7 @@ def test_a_fit_reaches_the_end_of_a_valley() -> None:
     assert found.cost(chosen) - found.design(chosen).deviance() < 20.0
 
 
-@pytest.mark.parametrize("farther", [6.0, 10.0, 14.0])
+@pytest.mark.parametrize("farther", [*(pytest.param(um, marks=pytest.mark.slow) for um in (6.0, 10.0)), 14.0])
 def test_worn_teeth_and_a_datum_that_hide_each_other_are_told_apart(farther: float) -> None:
     """Along the valley a step of the datum alone climbs: the teeth's wear has to step with it."""
     wear = EFFECTS["wear_backlash"]

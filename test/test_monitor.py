@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from live import MS, START, config, states
+from live import MS, OTHER_TWO, START, TWO, config, map_of_two, states
 from numpy.testing import assert_array_equal
 
 from hd_diag.drive import transmission_error
@@ -14,11 +14,6 @@ from hd_diag.monitor.publications import Drawings, Publication, ToothArrays
 from hd_diag.replay.map_builder import map_of
 from hd_diag.streams.columns import JointStates
 
-CONFIG = config("a", "b", array_rate=100.0, mesh_rate=30.0)
-OTHER = config(
-    "a", "b", array_rate=40.0, a__eccentricity__magnitude=7e-6, a__torque=-2.0, b__cup_compliance=1e-5
-)
-MAPS = {joint.name: map_of(joint) for joint in CONFIG.joints}
 SAME = "; where stamps stay the same, `stamp: reception` takes the time of reception"
 EVERYTHING = ("a_motor", "a", "b_motor", "b")
 
@@ -32,7 +27,7 @@ def found(publications: list[Publication], topic: str) -> list[Any]:
 
 
 def test_residual_needs_an_output_angle() -> None:
-    published = run(Monitor(CONFIG), states(("a_motor", "b_motor", "b"), [START], [[0.1, 0.2, 0.0]]))
+    published = run(Monitor(TWO), states(("a_motor", "b_motor", "b"), [START], [[0.1, 0.2, 0.0]]))
     assert found(published, "~/transmission_error")[0].names == ("a", "b")
     assert found(published, "~/measured_transmission_error")[0].names == ("b",)
     assert found(published, "~/residual")[0].names == ("b",)
@@ -77,18 +72,18 @@ def predicted(monitor: Monitor, stamp: int, angle: float = 0.4) -> float:
 
 
 def test_a_map_is_used_from_the_next_sample_on_and_only_while_its_mesh_is() -> None:
-    monitor = Monitor(CONFIG)
+    monitor = Monitor(TWO)
     exact = predicted(monitor, START)
-    assert monitor.use_map("a", MAPS["a"])
+    assert monitor.use_map("a", map_of_two())
     mapped = predicted(monitor, START + MS)
-    assert 0.0 < abs(mapped - exact) <= MAPS["a"].error_bound
+    assert 0.0 < abs(mapped - exact) <= map_of_two().error_bound
     changed = config("a", "b", a__cup_compliance=1e-4, a__wave_generator_phase=0.1, a__rated_torque=6.0)
     monitor.configure(changed)
-    assert monitor.joints["a"].table is MAPS["a"]
-    monitor.configure(OTHER)
+    assert monitor.joints["a"].table is map_of_two()
+    monitor.configure(OTHER_TWO)
     assert monitor.joints["a"].table is None
-    assert [monitor.use_map(name, MAPS[name]) for name in ("a", "b")] == [False, True]
-    drive = OTHER.joints[0].drive
+    assert [monitor.use_map(name, map_of_two()) for name in ("a", "b")] == [False, True]
+    drive = OTHER_TWO.joints[0].drive
     own = transmission_error(drive, np.array([0.4]), np.array([-2.0]))[0]
     assert predicted(monitor, START + 2 * MS) == own
 
@@ -98,7 +93,7 @@ def test_drives_side_by_side_give_each_its_own_error_to_the_last_bit() -> None:
     other = {"c__ratio": -101.0, "c__output": "circular_spline", "c__wave_generator_phase": 0.4}
     monitor = Monitor(config("a", "b", "c", a__cup_compliance=1e-5, **other))
     given = monitor.config.joints
-    tables = {"a": MAPS["a"], "b": None, "c": map_of(given[2])}
+    tables = {"a": map_of_two(), "b": None, "c": map_of(given[2])}
     assert all(monitor.use_map(name, table) for name, table in tables.items() if table is not None)
     names = [name for joint in given for name in (joint.input_joint, joint.output_joint)]
     angle = np.linspace(-7.0, 9.0, 24).reshape(8, 3)
@@ -109,14 +104,14 @@ def test_drives_side_by_side_give_each_its_own_error_to_the_last_bit() -> None:
     for row in (6, 7):
         published += run(monitor, states(names, stamp[row:][:1], position[row:][:1], effort[row:][:1]))
     errors = np.concatenate([each.position for each in found(published, "~/transmission_error")])
-    assert max(abs(torque[:, 0])) > MAPS["a"].torque_limit
+    assert max(abs(torque[:, 0])) > map_of_two().torque_limit
     for number, joint in enumerate(given):
         alone = transmission_error(joint.drive, angle[:, number], torque[:, number], tables[joint.name])
         assert_array_equal(errors[:, number], alone)
 
 
 def test_other_names_begin_the_stream_anew() -> None:
-    monitor = Monitor(CONFIG)
+    monitor = Monitor(TWO)
     predicted(monitor, START)
     monitor.configure(config("a", "b", a__input_joint="elbow"))
     (error,) = found(run(monitor, states(("elbow",), [START - 5], [[0.4]])), "~/transmission_error")
@@ -159,7 +154,7 @@ def test_what_cannot_be_used_is_counted_with_its_reason(made: JointStates, reaso
 
 
 def test_one_bad_joint_leaves_the_others_and_strangers_are_counted_apart() -> None:
-    monitor = Monitor(CONFIG)
+    monitor = Monitor(TWO)
     published = run(monitor, states(EVERYTHING, [START], [[np.nan, 0, 0.1, 0]], [[0, 0, 0, 0]]))
     assert found(published, "~/transmission_error")[0].names == ("b",)
     assert not run(monitor, states(("x", "y"), [START, START + MS], [[1, 2], [3, 4]]))
@@ -174,7 +169,7 @@ def test_one_bad_joint_leaves_the_others_and_strangers_are_counted_apart() -> No
 
 
 def test_an_unbearable_torque_gives_nan_not_an_end() -> None:
-    monitor = Monitor(CONFIG)
+    monitor = Monitor(TWO)
     (error,) = found(
         run(monitor, states(("a_motor", "a"), [START], [[0.1, 0]], [[0, 9e5]])), "~/transmission_error"
     )
@@ -185,7 +180,7 @@ def test_an_unbearable_torque_gives_nan_not_an_end() -> None:
 
 def test_limits_of_time() -> None:
     """The first and the last stamp that a ROS time can hold."""
-    monitor = Monitor(CONFIG)
+    monitor = Monitor(TWO)
     for stamp in (-(2**31) * 1_000_000_000, 2**31 * 1_000_000_000 - 1):
         published = run(monitor, states(("a_motor",), [stamp], [[0.1]]))
         assert len(encode(found(published, "~/transmission_error")[0]).rows) == 1

@@ -17,17 +17,16 @@ from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.work import Work
 from hd_diag.effects import CATALOGUE
 
-MEASURED = swinging()
-
 
 def by_current() -> Record:
     """Amperes by a constant that is 15 % too small, with dry, loaded and viscous friction and inertia."""
-    speed = np.gradient(MEASURED.input_angle, MEASURED.time)
-    dry = (5.0 + 0.08 * np.abs(MEASURED.torque)) * np.tanh(speed / 0.6)
+    record = swinging()
+    speed = np.gradient(record.input_angle, record.time)
+    dry = (5.0 + 0.08 * np.abs(record.torque)) * np.tanh(speed / 0.6)
     drag = 4.0 * np.sign(speed) * np.abs(speed / 100.0) ** 0.8
-    moved = 2.0 * np.gradient(speed, MEASURED.time) / 100.0
-    needed = (MEASURED.torque + dry + drag + moved) / 1.15
-    return dataclasses.replace(MEASURED, torque=needed, reported_torque=needed, by_current=True)
+    moved = 2.0 * np.gradient(speed, record.time) / 100.0
+    needed = (record.torque + dry + drag + moved) / 1.15
+    return dataclasses.replace(record, torque=needed, reported_torque=needed, by_current=True)
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +38,7 @@ def found() -> tuple[LinearisedFit, Refit]:
 
 def off(torque: np.ndarray) -> float:
     """Rms by which a torque is not in proportion to the link's, which the stiffness leaves open [N m]."""
-    link = MEASURED.torque
+    link = swinging().torque
     return float(np.std(torque - link * (link @ torque) / (link @ link)))
 
 

@@ -149,8 +149,20 @@ def recordings(
 SPEEDS = (0.3, 0.5, 0.8, 1.0, 1.2, 1.5)
 
 
-@pytest.mark.parametrize("delay", [2.5e-3, -4e-3, 12e-3])
-@pytest.mark.parametrize("ways", [(1.0,), (-1.0, 1.0)])
+ONE_WAY, BOTH_WAYS = (1.0,), (-1.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("delay", "ways"),
+    [
+        (2.5e-3, ONE_WAY),
+        (-4e-3, BOTH_WAYS),
+        (12e-3, ONE_WAY),
+        pytest.param(2.5e-3, BOTH_WAYS, marks=pytest.mark.slow),
+        pytest.param(-4e-3, ONE_WAY, marks=pytest.mark.slow),
+        pytest.param(12e-3, BOTH_WAYS, marks=pytest.mark.slow),
+    ],
+)
 def test_a_late_torque_is_said_and_its_lines_repeat(delay: float, ways: tuple[float, ...]) -> None:
     told = seen(*recordings(SPEEDS, [1.0] * 6, delay, ways))
     assert told.delay is not None

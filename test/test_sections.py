@@ -226,21 +226,6 @@ def test_a_map_of_sections_keeps_its_tolerance() -> None:
     assert_allclose(table(turn, torque), torsion(table.mesh, turn, torque), rtol=0, atol=table.error_bound)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"sections": 3}, "give face_width"),
-        ({"face_width": -1e-3}, "face_width"),
-        ({"sections": 0, "face_width": 0.01}, "sections must be at least 1"),
-        ({"cup_length": 4e-3, "face_width": 0.01, "sections": 3}, "must exceed half of face_width"),
-        ({"cup_length": 8e-3, "face_width": 0.011, "sections": 5}, "at the long axis of the section at"),
-    ],
-)
-def test_widths_that_cannot_be(changes: dict[str, object], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        drives.geometry(**changes)
-
-
 def test_tilts_that_cannot_be() -> None:
     with pytest.raises(ValueError, match="give face_width and sections"):
         Mesh(drives.geometry(), tilt=1e-3)

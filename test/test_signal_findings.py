@@ -147,9 +147,10 @@ def test_gravity_that_goes_with_the_place_has_no_other_sign(family: str, seed: i
 
 
 @pytest.mark.parametrize("late", [0.02, -0.05, 0.3, -3.0])
-@pytest.mark.parametrize("record", [moves(3.0), swinging()], ids=range(2))
-def test_angles_out_of_step(record: Record, late: float) -> None:
+@pytest.mark.parametrize("made", [lambda: moves(3.0), swinging], ids=range(2))
+def test_angles_out_of_step(made: Callable[[], Record], late: float) -> None:
     """Seconds apart, the output follows the input at no ratio."""
+    record = made()
     moved = np.interp(record.time - late, record.time, record.output_angle)
     found = only(dataclasses.replace(record, output_angle=moved))
     assert (found.name, found.fatal) == ("out_of_step", True)
