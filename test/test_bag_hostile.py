@@ -260,7 +260,8 @@ def test_hostile_yaml_inside_a_file(tmp_path):
         f"- &{c} [*{b},*{b}]\n" for b, c in itertools.pairwise("abcdefghijklmnopqrstuvwxyz")
     )
     path = tmp_path / "a.mcap"
-    for text in ("[" * 1_000_000, aliases, f"- history: &a [1]\n  depth: {aliases!r}\n", "- {history: [1]}"):
+    repeated = f"- history: &a [1]\n  depth: {aliases!r}\n"
+    for text in ("[" * 1_000_000, aliases, repeated, "- {history: [1]}", "- {history: 1, depth: .inf}"):
         extra = {"offered_qos_profiles": text}
         content = packed(
             Schema(1, definition(STRING).text.encode(), "ros2msg", STRING), Channel(1, "/n", "cdr", extra, 1)

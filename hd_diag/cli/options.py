@@ -71,6 +71,7 @@ def verb(example: str, module: str = "", **settings: Any) -> Callable[[Callable[
         def run(**given: Any) -> Any:
             check_files()
             function = getattr(import_module(f"hd_diag.cli.{module or name}"), name)
+            gc.freeze()  # what the imports made stays
             gc.enable()
             try:
                 with warnings.catch_warnings():
