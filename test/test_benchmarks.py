@@ -89,7 +89,10 @@ def test_torsion_backlash_and_force(turn: float, eccentricity: complex, torque: 
 MOMENTS_EACH = 12  # of a design; each takes the reference some 0.1 s
 
 
-@pytest.mark.parametrize("design", [SIZE_25, *OTHERS], ids=lambda design: design.name)
+EACH = [SIZE_25, OTHERS[0], *(pytest.param(design, marks=pytest.mark.slow) for design in OTHERS[1:])]
+
+
+@pytest.mark.parametrize("design", EACH, ids=lambda design: design.name)
 def test_both_sides_mean_the_same_drive(design: Design) -> None:
     rng = np.random.default_rng(3)
     base = truth.drawn(rng, design)

@@ -42,13 +42,18 @@ def moments(seed: int, count: int = 4) -> tuple[np.ndarray, np.ndarray]:
 
 
 SHIFTS = mesh.CircularSplinePitch(3e-6, 0.4).flaws(SIZE_25)
+# Tables of one other design are enough: each takes three seconds where no run has left it on the disk.
+EACH = [(design, [pytest.mark.slow] if place else []) for place, design in enumerate(OTHERS)]
 
 
 @pytest.mark.parametrize(
     ("base", "flaws", "moved"),
     [
         *((base, None, {}) for base in (truth.NOMINAL, ERRORS)),
-        *((truth.drawn(np.random.default_rng(5), design), None, {}) for design in OTHERS),
+        *(
+            pytest.param(truth.drawn(np.random.default_rng(5), one), None, {}, marks=slow)
+            for one, slow in EACH
+        ),
         (ERRORS, SHIFTS, {"slot_shift": SHIFTS.slot_along}),
         (ERRORS, Flaws(tooth_along=np.full(200, 2e-6)), {"arc_offset": 2e-6}),
     ],
@@ -107,8 +112,8 @@ def test_a_drive_outside_the_table_is_refused() -> None:
     [
         (SIZE_25, (14, 48), (31e3, 50e3, 57e3)),
         (OTHERS[0], (2, 6.9), (3.4e3, 4.7e3, 5.7e3)),
-        (OTHERS[1], (7, 25), (16e3, 25e3, 29e3)),
-        (OTHERS[2], (29, 108), (67e3, 110e3, 120e3)),
+        pytest.param(OTHERS[1], (7, 25), (16e3, 25e3, 29e3), marks=pytest.mark.slow),
+        pytest.param(OTHERS[2], (29, 108), (67e3, 110e3, 120e3), marks=pytest.mark.slow),
     ],
     ids=lambda value: getattr(value, "name", ""),
 )

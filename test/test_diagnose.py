@@ -73,7 +73,7 @@ def test_a_drift_of_every_recording_is_fitted_to_all_of_them() -> None:
     assert [term.effect.name for term in found.model.effects] == []
 
 
-@pytest.mark.parametrize("within", [1.0, 2.0])
+@pytest.mark.parametrize("within", [1.0, slow(2.0)])
 def test_intervals_are_longer_where_more_than_noise_is_left(
     within: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:

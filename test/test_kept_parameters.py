@@ -57,7 +57,7 @@ def displaced() -> Set:
     return begun(bench())
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_drive_as_configured_stays_so(seed: int) -> None:
     _, best, kept = as_configured(seed)
     held = list(kept.held)
@@ -88,7 +88,7 @@ def test_datum_and_compliances_are_never_held(displaced: Set) -> None:
 
 def test_what_is_held_costs_little_evidence() -> None:
     """Less than a hundred to one speaks for a displacement; most that are none win by being none."""
-    for seed in range(3):
+    for seed in range(2):
         free, best, _ = as_configured(seed)
         assert best.value > free.value - ODDS
 
@@ -139,7 +139,7 @@ def diagnosed(family: str, seed: int) -> tuple[records.Record, Diagnosis]:
     [
         3300,
         pytest.param(5107, marks=pytest.mark.slow),
-        5205,
+        pytest.param(5205, marks=pytest.mark.slow),
         pytest.param(1_000_000_575, marks=pytest.mark.slow),
         1_000_001_822,
     ],

@@ -293,7 +293,7 @@ def test_a_wrong_ratio_is_all_that_is_said_first() -> None:
     assert len(read.all("svg")) == 7
 
 
-def test_a_joint_that_is_eccentric_and_no_more() -> None:
+def test_a_joint_that_is_eccentric_and_no_more(undrawn: None) -> None:
     """The card's size is what the displacement does to the error; without a cause no stage is extended."""
     found = eccentric()
     judgement = judgement_of(report_of(found))
@@ -322,7 +322,7 @@ def test_a_bearing_that_slips_has_its_order_marked() -> None:
     assert (mark.name, mark.order) == ("bearing passage", pytest.approx(2.6, abs=0.05))
 
 
-def test_a_record_without_torque_has_no_measured_stiffness() -> None:
+def test_a_record_without_torque_has_no_measured_stiffness(undrawn: None) -> None:
     """And what no cause explains stands on its page in words where it has no period."""
     given = {name: column for name, column in columns(seconds=10.0).items() if name != "torque"}
     record = prepared(given, assumed_torque=30.0)
@@ -427,7 +427,9 @@ def test_a_bag_without_output_gets_the_model_s_side(tmp_path: Path) -> None:
     assert "with output angle" in found["error"]
 
 
-def test_both_verbs_draw_what_they_say(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_both_verbs_write_what_they_say(
+    monkeypatch: pytest.MonkeyPatch, undrawn: None, tmp_path: Path
+) -> None:
     """Of a bag or a table, which give the same record; both write the same JSON."""
     asked = known_to_the_command_line(monkeypatch, "output_runout")
     bag, table, out = (tmp_path / name for name in ("j.mcap", "bench.csv", "a.html"))

@@ -174,17 +174,16 @@ NONE = {
 
 # Those of each that take long are slow.
 SLOW = {"pitch", "a slot", "oval and zero", "friction", "viscous", "off centre", "one direction"}
-SLOW |= {"beside the gear's", "wear"}
+SLOW |= {"beside the gear's", "wear", "beat", "counts of the input"}
 
 
 KNOWN = {"beat": "two lines that beat over a quarter of a turn are told as one of a bearing"}
 
 
 def cases(names: dict[str, object]) -> list[object]:
-    marks = dict.fromkeys(SLOW, pytest.mark.slow) | {
-        name: pytest.mark.xfail(reason=why) for name, why in KNOWN.items()
-    }
-    return [pytest.param(name, marks=marks.get(name, ())) for name in names]
+    known = {name: [pytest.mark.xfail(reason=why)] for name, why in KNOWN.items()}
+    slow = {name: [pytest.mark.slow] for name in SLOW}
+    return [pytest.param(name, marks=[*known.get(name, ()), *slow.get(name, ())]) for name in names]
 
 
 @pytest.mark.parametrize("name", cases(CAUSES))

@@ -115,7 +115,7 @@ def deviation(values: Floats, smoothed: Floats, step: float, width: Floats) -> F
 
 def _passed(size: int, step: float, width: float) -> float:
     """Share of the variance of white noise that is left by smoothing."""
-    kernel = savgol_coeffs(_window(size, step, width), _ORDER)
+    kernel = _quadratic(_window(size, step, width))[0]
     return float(np.sum(np.convolve(kernel, kernel) ** 2))
 
 
@@ -153,7 +153,7 @@ def _filtered(values: Floats, window: int) -> Floats:
     return result
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=64)  # the windows to choose from, and narrower ones, of two rates
 def _quadratic(window: int) -> tuple[Floats, Floats]:
     """Weights of the middle (window,), and a basis (window, 3) of local quadratics."""
     basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, window), _ORDER + 1))[0]
@@ -165,7 +165,7 @@ def _prediction_errors(values: Floats, step: float, width: float) -> Floats:
     window = _window(values.size, step, width)
     if window <= _ORDER + 1:
         return np.full(values.size, np.inf)
-    own = float(np.sum(savgol_coeffs(window, _ORDER) ** 2))  # weight of a value in its own estimate
+    own = float(np.sum(_quadratic(window)[0] ** 2))  # weight of a value in its own estimate
     return np.asarray((values - _twice(values, step, width)) ** 2 / (1.0 - own) ** 2)
 
 

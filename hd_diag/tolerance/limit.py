@@ -152,13 +152,20 @@ def allowed(
 
     Limits by the names of the criteria. None where none is reached.
     """
+    return _allowed(drive, cup_torque, tuple(limits[name] for name in NAMES), largest)
+
+
+@lru_cache(maxsize=16)  # a fleet's bags, a robot's records, are of few drives; each takes most of a second
+def _allowed(
+    drive: Drive, cup_torque: float, limits: tuple[float, ...], largest: float
+) -> tuple[float, str] | None:
     searches = [_Search(drive, cup_torque, name) for name in NAMES]
     eccentricity, values = _scanned(drive, cup_torque, largest)
-    above = [row > limits[name] for row, name in zip(values, NAMES, strict=True)]
+    above = [row > limit for row, limit in zip(values, limits, strict=True)]
     first = [int(np.argmax(one)) if one.any() else STEPS for one in above]
     least = None
     for k in sorted(range(len(NAMES)), key=lambda k: first[k]):
-        limit, search = limits[NAMES[k]], searches[k]
+        limit, search = limits[k], searches[k]
         if least is not None and not search.worst(least[0]).value > limit:
             continue
         found = search.exceeded(limit, np.stack((eccentricity, values[k])))

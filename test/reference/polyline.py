@@ -171,7 +171,9 @@ def four_forces_ring(deformation: float, force: float, angle: Array) -> tuple[Ar
     n = np.arange(2, 4000, 2)
     size = np.cos(n * force) / (n**2 - 1.0) ** 2
     size *= deformation / size.sum()
-    return np.cos(np.outer(angle, n)) @ size, -np.sin(np.outer(angle, n)) @ (size / n)
+    turn = np.exp(2j * angle)  # powers of which are all of the series, by Horner's rule
+    radial, along = (np.polyval([*each[::-1], 0.0], turn) for each in (size, size / n))
+    return radial.real, -along.imag
 
 
 RING_RADIUS = 30e-3
