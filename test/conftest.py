@@ -121,15 +121,6 @@ def browser() -> Iterator[Any]:
         yield driver
 
 
-@pytest.fixture(scope="session", autouse=True)
-def kept_memory() -> Iterator[None]:
-    """Replays in the tests' own process give no memory back, which the next would read again in 30 ms."""
-    with pytest.MonkeyPatch.context() as patch:
-        for module in ("preparation", "map_builder"):
-            patch.setattr(f"hd_diag.replay.{module}.give_back", lambda: None, raising=False)
-        yield
-
-
 @pytest.fixture(scope="module")
 def accuracy_once() -> Iterator[None]:
     """A record's accuracy is computed once: hundreds of answers ask for it, a tenth of a second each."""

@@ -8,7 +8,6 @@ from weakref import WeakValueDictionary
 
 from hd_diag.config.configuration import JointConfig
 from hd_diag.extended_model import TORQUE_RANGE
-from hd_diag.memory import give_back
 from hd_diag.model.mesh import Mesh
 from hd_diag.model.torsion_map import BuildCancelled, TorsionMap, build
 
@@ -16,13 +15,6 @@ from hd_diag.model.torsion_map import BuildCancelled, TorsionMap, build
 def map_of(joint: JointConfig) -> TorsionMap:
     """Map of a joint, built now."""
     return build(joint.drive.mesh, map_limit(joint))
-
-
-def build_at_once(mesh: Mesh, torque_limit: float) -> TorsionMap:
-    """Map of a mesh where nothing else is to be done; what memory that took is given back."""
-    table = build(mesh, torque_limit, threads=2)
-    give_back()
-    return table
 
 
 def map_limit(joint: JointConfig) -> float:

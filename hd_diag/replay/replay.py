@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +16,12 @@ from hd_diag.config.configuration import Config, ConfigError, JointConfig, resol
 from hd_diag.config.parameters import shown
 from hd_diag.messages.publications import LAST_TIME, Encoded, resolved
 from hd_diag.messages.schemas import jazzy
-from hd_diag.model.torsion_map import TorsionMap
+from hd_diag.model.torsion_map import TorsionMap, build
 from hd_diag.monitor.joint import Joint
 from hd_diag.records.joint_topics import no_input
 from hd_diag.replay import versions
 from hd_diag.replay.events import Event
-from hd_diag.replay.map_builder import build_at_once, map_limit
+from hd_diag.replay.map_builder import map_limit
 from hd_diag.replay.preparation import prepare
 from hd_diag.replay.recorded_monitor import Session
 from hd_diag.replay.sources import Sources, event_of, models_of, sources_of
@@ -122,7 +122,7 @@ class _Run:
         self._last = 0
         self._next_report: int | None = None
         # Some maps are kept for a parameter that is set back; nothing else is to be done before one is there.
-        self._build = lru_cache(_MAPS_KEPT)(build_at_once)
+        self._build = lru_cache(_MAPS_KEPT)(partial(build, threads=2))
         self._problems: list[str] = []
         for topic in reader.topics:
             if sources.topics.types.get(topic.name) == (kind := topic.type_name):
