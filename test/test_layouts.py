@@ -24,7 +24,7 @@ from hd_diag.messages.publications import (
 )
 from hd_diag.messages.schemas import jazzy
 from hd_diag.replay.recorded_monitor import Session
-from hd_diag.watch import PREFIX
+from hd_diag.watch.state import PREFIX
 
 FOLDER = Path(__file__).resolve().parent.parent / "config"
 JOINT = "joint_1"

@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Mapping
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -18,13 +19,11 @@ from rich.console import Console
 from hd_diag.messages.publications import DIAGNOSTICS
 from hd_diag.messages.schemas import jazzy
 from hd_diag.replay.recorded_monitor import Session
-from hd_diag.watch import PREFIX, Watch, as_json
 from hd_diag.watch.display import Display, in_words, picture
+from hd_diag.watch.state import PREFIX, Watch
 
 TOPIC = "/diagnostics"
 HOSTILE = "[red]x[/red]\x1b[2J\x1b]0;t\x07\u202egnp\r\n\t" + "宽" * 300 + "\ud800"
-
-Status = tuple[str, int, str, Mapping[str, str], str]
 
 
 def reported() -> Mapping[str, str]:
@@ -45,14 +44,25 @@ REAL = reported()
 
 def message(
     joint: str = "joint_1", level: int = 0, text: str = "OK", node: str = "/hd_diag", **values: str
-) -> Status:
+) -> SimpleNamespace:
     said = {**REAL, "fault_code": "OK", "fault_codes": "OK", **values}
-    return PREFIX + joint, level, text, said, f"{node}/{joint}"
+    return status(PREFIX + joint, level, text, f"{node}/{joint}", **said)
 
 
-def watched(*statuses: Status, **asked: Any) -> Watch:
+def status(name: str, level: int = 0, text: str = "", identifier: str = "", **values: str) -> SimpleNamespace:
+    """A DiagnosticStatus as rclpy gives it."""
+    pairs = [SimpleNamespace(key=key, value=value) for key, value in values.items()]
+    own = {"name": name, "level": bytes([level]), "message": text, "hardware_id": identifier}
+    return SimpleNamespace(**own, values=pairs)
+
+
+def array(*statuses: SimpleNamespace) -> SimpleNamespace:
+    return SimpleNamespace(status=statuses)
+
+
+def watched(*statuses: SimpleNamespace, **asked: Any) -> Watch:
     watch = Watch(**asked)
-    watch.take(TOPIC, statuses, 0.0)
+    watch.take(TOPIC, array(*statuses), 0.0)
     return watch
 
 
@@ -63,7 +73,7 @@ def drawn(watch: Watch, now: float = 0.0, width: int = 80, **more: Any) -> str:
     return console.file.getvalue()  # type: ignore[attr-defined, no-any-return]
 
 
-def line(*statuses: Status) -> str:
+def line(*statuses: SimpleNamespace) -> str:
     """What is said of one joint below the table."""
     (view,) = watched(*statuses).view(0.0)
     return in_words(view)
@@ -81,15 +91,15 @@ class Terminal(io.StringIO):
 
 def test_the_state_needs_neither_ros_nor_a_terminal() -> None:
     edges = "{'rclpy', 'diagnostic_msgs', 'rich', 'click'}"
-    code = f"import sys, hd_diag.watch; print({edges} & set(sys.modules))"
+    code = f"import sys, hd_diag.watch.state; print({edges} & set(sys.modules))"
     assert subprocess.check_output([sys.executable, "-c", code], text=True) == "set()\n"
 
 
 def test_only_joints_that_are_asked_for_are_shown() -> None:
-    watch = watched(message("a"), message("b"), ("camera", 0, "", {}, ""), joints=("b", "c"))
+    watch = watched(message("a"), message("b"), status("camera"), joints=("b", "c"))
     assert [view.joint for view in watch.view(0.0)] == ["b"]
     assert watch.missing() == ["c"]
-    assert "not reported: c" in drawn(watch)
+    assert drawn(watch).startswith("no report of c yet: there is /hd_diag a, /hd_diag b\n")
 
 
 @pytest.mark.parametrize(
@@ -102,17 +112,18 @@ def test_a_namespace_holds_what_is_below_it(asked: str, joints: str) -> None:
 
 def test_two_nodes_with_one_joint_on_one_topic_are_two_rows() -> None:
     watch = watched(message("a", node="/x", samples="1"))
-    watch.take(TOPIC, [message("a", node="/y", samples="2")], 0.5)
-    watch.take(TOPIC, [message("a", node="/x", samples="3")], 1.0)
-    seen = [(view.node, view.number("samples"), view.age) for view in watch.view(1.0)]
+    watch.take(TOPIC, array(message("a", node="/y", samples="2")), 0.5)
+    watch.take(TOPIC, array(message("a", node="/x", samples="3")), 1.0)
+    seen = [(view.node, view.values["samples"], view.age) for view in watch.view(1.0)]
     assert seen == [("/x", 3.0, 0.0), ("/y", 2.0, 0.5)]
     assert all(words in drawn(watch) for words in ("/x a: OK; 3 samples", "/y a: OK; 2 samples"))
 
 
 def test_a_flood_of_joints_texts_and_values_is_bounded() -> None:
     watch = watched(*[message(f"j{i}") for i in range(5000)])
-    watch.take(TOPIC, [message("j0", **{f"k{i}": "v" for i in range(9999)}, log_state="x" * 10**6)], 1.0)
-    watch.take(TOPIC, [message("j0", node=f"/n{i}") for i in range(100)], 1.0)
+    many = {f"k{i}": "v" for i in range(9999)}
+    watch.take(TOPIC, array(message("j0", **many, log_state="x" * 10**6)), 1.0)
+    watch.take(TOPIC, array(*[message("j0", node=f"/n{i}") for i in range(100)]), 1.0)
     views = watch.view(1.0)
     assert len(views) == 1024
     first = next(view for view in views if view.joint == "j0")
@@ -123,12 +134,12 @@ def test_a_flood_of_joints_texts_and_values_is_bounded() -> None:
 @pytest.mark.parametrize(("period", "silent_after"), [(0.1, 3.0), (1.0, 3.0), (10.0, 30.0)])
 def test_a_joint_is_silent_after_three_periods(period: float, silent_after: float) -> None:
     watch = watched(message(level=2, fault_code="INTERFERENCE"))
-    watch.take(TOPIC, [message(level=2, fault_code="INTERFERENCE")], period)
+    watch.take(TOPIC, array(message(level=2, fault_code="INTERFERENCE")), period)
     assert not watch.view(period + 0.99 * silent_after)[0].silent
     silent = watch.view(period + 1.01 * silent_after)[0]
     assert silent.silent
     assert f"no report for {silent.age:.0f} s; the last: INTERFERENCE" in in_words(silent)
-    watch.take(TOPIC, [message()], 100.0)
+    watch.take(TOPIC, array(message()), 100.0)
     assert not watch.view(100.0)[0].silent
 
 
@@ -139,15 +150,17 @@ def test_a_node_without_samples_is_stale_though_it_reports() -> None:
 
 def test_what_was_seen_instead() -> None:
     watch = Watch(("a",), ("/arm",))
-    assert drawn(watch).splitlines() == ["waiting for diagnostics of a ...; no diagnostics came at all"]
-    watch.take(TOPIC, [("camera", 0, "", {}, "")], 0.0)
-    assert watch.explanation() == "only diagnostics of others came"
-    watch.take(TOPIC, [message("b")], 0.0)
-    assert watch.explanation() == "there is /hd_diag b"
+    assert drawn(watch).splitlines() == ["no report of a yet: no diagnostics came at all"]
+    watch.take(TOPIC, array(status("camera")), 0.0)
+    assert watch.lack("yet") == "no report of a yet: only diagnostics of others came"
+    watch.take(TOPIC, array(message("b")), 0.0)
+    assert watch.lack("yet") == "no report of a yet: there is /hd_diag b"
+    watch.take(TOPIC, array(message("a", node="/arm/hd_diag")), 0.0)
+    assert watch.lack("yet") == ""
 
 
 def test_json_holds_every_value_with_its_kind() -> None:
-    said = as_json(watched(message(temperature_C="nan", samples="12")), 2.0)
+    said = watched(message(temperature_C="nan", samples="12")).as_json(2.0)
     (joint,) = said["joints"]
     assert said["schema"] == "hd_diag/watch/1"
     assert (joint["joint"], joint["node"], joint["level"], joint["age"]) == ("joint_1", "/hd_diag", "ok", 2.0)
@@ -161,7 +174,7 @@ def test_json_holds_every_value_with_its_kind() -> None:
 @given(st.text(), st.text(), st.text(), st.text())
 def test_any_text_gives_valid_json_and_printable_lines(joint: str, text: str, log: str, number: str) -> None:
     watch = watched(message(joint, 7, text, log_state=log, residual_rms_arcsec=number))
-    said = json.loads(json.dumps(as_json(watch, 0.0), allow_nan=False))
+    said = json.loads(json.dumps(watch.as_json(0.0), allow_nan=False))
     assert said["joints"][0]["joint"] == joint[:2000]
     assert all(shown.isprintable() for shown in [*drawn(watch).splitlines(), in_words(watch.view(0.0)[0])])
 
@@ -251,11 +264,11 @@ def test_a_pipe_gets_a_table_a_second_and_another_fault_at_once(monkeypatch: pyt
     with Display(watch, stream) as display:
         display.show(0.0)
         for i in range(1, 31):
-            watch.take(TOPIC, [message(fault_code="RESIDUAL" if i == 20 else "OK")], 0.25 * i)
+            watch.take(TOPIC, array(message(fault_code="RESIDUAL" if i == 20 else "OK")), 0.25 * i)
             display.show(0.25 * i)
         display.show(40.0)
         display.show(50.0)
-    assert "waiting for diagnostics ..." in stream.getvalue().splitlines()[0]
+    assert stream.getvalue().startswith("no report of an hd_diag node yet: ")
     said = [words for words in stream.getvalue().splitlines() if words.startswith("/hd_diag joint_1: ")]
     codes = [words.split(": ")[1].split()[0].strip(";") for words in said[:-1]]
     # At 0.25, 1.25, ... 4.25, 5 the fault, 5.25 its end, 6.25, 7.25 s.

@@ -5,8 +5,13 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+import os
+import select
+import sys
+import termios
 import time
-from collections.abc import Callable, Sequence
+import tty
+from collections.abc import Callable, Iterator, Sequence
 from typing import IO, TYPE_CHECKING
 
 import click
@@ -14,8 +19,8 @@ import click
 from hd_diag.cli.options import needing_ros
 from hd_diag.cli.targets import Problem, write_json
 from hd_diag.ros.stop_signals import SIGNALLED, noted_signals
-from hd_diag.watch import Watch, as_json
-from hd_diag.watch.display import PERIOD, Display, pressed_keys
+from hd_diag.watch.display import PERIOD, Display
+from hd_diag.watch.state import Watch
 
 if TYPE_CHECKING:
     from hd_diag.watch.listener import Listener
@@ -73,13 +78,11 @@ def _wait_for_all(state: Watch, listener: Listener, came: Sequence[int], timeout
 def _show_once(state: Watch, timeout: float, json_file: str | None) -> bool:
     """Show every joint that was reported; whether one has a fault."""
     now = time.monotonic()
-    views = state.view(now)
-    if write_json(json_file, as_json(state, now)) and views:
-        with Display(state) as display:
+    if write_json(json_file, state.as_json(now)) and state.view(now):
+        with Display(state, sys.stdout) as display:
             display.show(now)
-    if not views or (state.joints and state.missing()):
-        of = ", ".join(state.missing()) or "an hd_diag node"
-        raise Problem(f"no report of {of} within {timeout:g} s: {state.explanation()}")
+    if lack := state.lack(f"within {timeout:g} s"):
+        raise Problem(lack)
     return _is_faulty(state, now)
 
 
@@ -92,9 +95,9 @@ def _follow(
         if json_file:
             shows.append(_json_lines(state, stack.enter_context(click.open_file(json_file, "w"))))
         if json_file != "-":
-            display = stack.enter_context(Display(state))
+            display = stack.enter_context(Display(state, sys.stdout))
             shows.append(lambda now, _: display.show(now))
-        pressed = stack.enter_context(pressed_keys())
+        pressed = stack.enter_context(_pressed_keys())
         while not came:
             listener.wait(_STEP)
             if _DIAGNOSE in (keys := pressed()):
@@ -117,10 +120,28 @@ def _json_lines(state: Watch, file: IO[str]) -> Callable[[float, bool], None]:
         nonlocal written, due
         if state.messages > written and (now >= due or is_last):
             written, due = state.messages, now + PERIOD
-            file.write(json.dumps(as_json(state, now), allow_nan=False) + "\n")
+            file.write(json.dumps(state.as_json(now), allow_nan=False) + "\n")
             file.flush()
 
     return write
+
+
+@contextlib.contextmanager
+def _pressed_keys() -> Iterator[Callable[[], str]]:
+    """A function that gives the keys pressed since its last call. The terminal is left as it was.
+
+    None where stdin is no terminal or the program is in the background, which reading would stop.
+    """
+    fd = sys.stdin.fileno() if sys.stdin.isatty() else -1
+    if fd < 0 or os.tcgetpgrp(fd) != os.getpgrp():
+        yield str
+        return
+    before = termios.tcgetattr(fd)
+    try:
+        tty.setcbreak(fd)
+        yield lambda: os.read(fd, 64).decode(errors="replace") if select.select([fd], [], [], 0.0)[0] else ""
+    finally:
+        termios.tcsetattr(fd, termios.TCSADRAIN, before)
 
 
 def _is_faulty(state: Watch, now: float) -> bool:

@@ -1,16 +1,9 @@
-"""What a watcher shows: one table of joints, and what is said of each; the keys that are pressed."""
+"""What a watcher shows: one table of joints, and what is said of each."""
 
 from __future__ import annotations
 
-import contextlib
 import io
 import math
-import os
-import select
-import sys
-import termios
-import tty
-from collections.abc import Callable, Iterator
 from typing import TextIO
 
 from rich.console import Console, Group
@@ -21,10 +14,9 @@ from rich.text import Text
 from hd_diag.formatting import visible
 from hd_diag.watch.state import JointView, Watch
 
-PERIOD = 1.0
-"""Between tables of a pipe without another fault [s]."""
+PERIOD, _REFRESH = 1.0, 0.25
+"""Between tables of a pipe without another fault, and between those in a terminal [s]."""
 
-_REFRESH = 0.25  # between two tables in a terminal [s]
 _UNWRAPPED, _LONGEST = 10_000, 500  # width of a pipe, longest text [characters]
 _TITLE = Text("hd-diag watch  d: diagnose, q: quit", "bold")
 _LARGE = 1e5  # written with an exponent from here on
@@ -51,13 +43,9 @@ class _Console(Console):
 
 
 class Display(Live):
-    """Shows a watch inside a ``with`` statement, on stdout by default: in a terminal all in one place.
+    """Shows a watch while it is entered: in a terminal in one place, whole at the end."""
 
-    What is shown last is whole, also where the terminal had no room for it.
-    """
-
-    def __init__(self, watch: Watch, stream: TextIO | None = None) -> None:
-        file = stream or sys.stdout
+    def __init__(self, watch: Watch, file: TextIO) -> None:
         if isinstance(file, io.TextIOWrapper):
             file.reconfigure(errors="backslashreplace")
         width = None if file.isatty() else _UNWRAPPED
@@ -75,8 +63,8 @@ class Display(Live):
         """Show the present state [s] where a fault is another, or where it is time to."""
         self._now, is_live = now, self.console.is_interactive
         faults = [(view.fault_code, view.silent) for view in self._watch.view(now)]
-        is_due = now >= self._due and (is_live or self._watch.messages > self._messages)
-        if faults != self._faults or is_due:
+        has_more = is_live or self._watch.messages > self._messages
+        if faults != self._faults or (now >= self._due and has_more):
             self._faults, self._messages = faults, self._watch.messages
             self._due = now + (_REFRESH if is_live else PERIOD)
             self.refresh() if is_live else self.console.print(picture(self._watch, now))
@@ -85,25 +73,20 @@ class Display(Live):
 def picture(watch: Watch, now: float) -> Group:
     """What is missing or answered, then the table of joints, then what is said of each."""
     views = watch.view(now)
-    table = Table("joint", "fault", box=None, pad_edge=False)
-    for heading, *_ in _NUMBERS:
-        table.add_column(heading, justify="right")
-    for column in table.columns:
-        column.overflow = "fold"
+    table = Table(box=None, pad_edge=False)
+    for heading, justify in (("joint", "left"), ("fault", "left"), *((h, "right") for h, *_ in _NUMBERS)):
+        table.add_column(heading, justify=justify, overflow="fold")
     for view in views:
-        names = (Text(visible(text, _LONGEST), _style(view)) for text in (view.joint, view.fault_code))
+        names = (_text(name, _style(view)) for name in (view.joint, view.fault_code))
         numbers = (_number(view, key, places) for _, key, places in _NUMBERS)
         table.add_row(*names, *numbers, style=_GREY if view.stale else "")
-    of, missing = (", ".join(joints) for joints in (watch.joints, watch.missing()))
-    remarks = [f"not reported: {missing}"] if missing else []
-    if not views:
-        remarks = [f"waiting for diagnostics{of and f' of {of}'} ...; {watch.explanation()}"]
-    remarks += [f"{node} {answer}" for node, answer in sorted(watch.answers.items())]
-    return Group(
-        *(Text(visible(remark, _LONGEST), "yellow") for remark in remarks),
-        *([table] if views else []),
-        *(Text(in_words(view), _style(view)) for view in views),
-    )
+    remarks = (watch.lack("yet"), *(f"{node} {answer}" for node, answer in sorted(watch.answers.items())))
+    said = (Text(in_words(view), _style(view)) for view in views)
+    return Group(*(_text(each, "yellow") for each in remarks if each), *([table] if views else []), *said)
+
+
+def _text(words: str, style: str) -> Text:
+    return Text(visible(words, _LONGEST), style)
 
 
 def _style(view: JointView) -> str:
@@ -112,51 +95,28 @@ def _style(view: JointView) -> str:
 
 def _number(view: JointView, key: str, places: int) -> str:
     """A value with so many decimals, without where it is large; a dash where it is not finite."""
-    value = view.number(key)
-    if not math.isfinite(value):
+    value = view.values.get(key)
+    if not isinstance(value, (int, float)) or not math.isfinite(value):
         return "-"
     return f"{value:.{places}f}" if abs(value) < _LARGE else f"{value:.0e}"
 
 
 def in_words(view: JointView) -> str:
-    """What is known of a joint beside its numbers, in one line without control characters.
-
-    Its node, fault, the order that repeats where nothing is wrong, bookkeeping, diagnosis and last verdict.
-    """
+    """What is known of a joint beside its numbers, in one line without control characters."""
     values, code = view.values, view.fault_code
-    silent = f"no report for {view.age:.0f} s; the last: " if view.silent else ""
-    message = f" {view.message}" if view.message not in ("", code) else ""
-    also = " ".join(each for each in str(values.get("fault_codes", "")).split() if each != code)
-    parts = [f"{silent}{code}{message}{f' (also {also})' if also else ''}"]
-    if view.level == "ok" and values.get("residual_order_repeats") is True:
-        size, limit = (_number(view, f"residual_order_{key}_arcsec", 1) for key in ("amplitude", "limit"))
-        parts.append(
-            f"residual repeats with {values.get('residual_order')}: {size} of {limit} arcsec allowed"
-        )
-    parts.append(f"{values.get('samples', '-')} samples")
-    parts.append(f"latency {_number(view, 'latency_p99_us', 0)} µs")
-    parts.append(f"log {values.get('log_state', '-')}")
-    if not (state := str(values.get("diagnosis_state", "none"))).startswith(("none", "done")):
-        parts.append(f"diagnosis {state}")
-    if verdict := values.get("verdict"):
-        parts.append(f"verdict of {values.get('verdict_time', '-')}: {verdict}")
-    told = "; ".join(visible(part, _LONGEST) for part in parts)
+    others = " ".join(each for each in str(values.get("fault_codes", "")).split() if each != code)
+    silent, also = view.silent and f"no report for {view.age:.0f} s; the last:", others and f"(also {others})"
+    size, limit = (_number(view, f"residual_order_{key}_arcsec", 1) for key in ("amplitude", "limit"))
+    repeats = view.level == "ok" and values.get("residual_order_repeats") is True
+    state, verdict = str(values.get("diagnosis_state", "none")), values.get("verdict")
+    parts = (
+        " ".join(filter(None, dict.fromkeys((silent, code, view.message, also)))),
+        repeats and f"residual repeats with {values.get('residual_order')}: {size} of {limit} arcsec allowed",
+        f"{values.get('samples', '-')} samples",
+        f"latency {_number(view, 'latency_p99_us', 0)} µs",
+        f"log {values.get('log_state', '-')}",
+        not state.startswith(("none", "done")) and f"diagnosis {state}",
+        verdict and f"verdict of {values.get('verdict_time', '-')}: {verdict}",
+    )
+    told = "; ".join(visible(part, _LONGEST) for part in parts if part)
     return f"{visible(f'{view.node} {view.joint}', _LONGEST)}: {told}"
-
-
-@contextlib.contextmanager
-def pressed_keys() -> Iterator[Callable[[], str]]:
-    """A function that gives the keys pressed since its last call. The terminal is left as it was.
-
-    None where stdin is no terminal or the program is in the background, which reading would stop.
-    """
-    fd = sys.stdin.fileno() if sys.stdin.isatty() else -1
-    if fd < 0 or os.tcgetpgrp(fd) != os.getpgrp():
-        yield str
-        return
-    before = termios.tcgetattr(fd)
-    try:
-        tty.setcbreak(fd)
-        yield lambda: os.read(fd, 64).decode(errors="replace") if select.select([fd], [], [], 0.0)[0] else ""
-    finally:
-        termios.tcsetattr(fd, termios.TCSADRAIN, before)

@@ -22,8 +22,7 @@ from hd_diag.messages.publications import DIAGNOSTICS
 from hd_diag.watch.state import Watch
 
 _TOPIC = "/diagnostics"  # everywhere, and the ends of those of nodes that were given another
-_LOOK_PERIOD = 1.0  # between looks at the ROS graph [s]
-_DEPTH = 100  # reports that may wait
+_LOOK_PERIOD, _DEPTH = 1.0, 100  # between looks at the ROS graph [s], reports that may wait
 
 
 class Listener(Node):
@@ -61,13 +60,9 @@ class Listener(Node):
         self._watch.answers[node] = f"{'diagnosis' if answer.success else 'no diagnosis'}: {answer.message}"
 
     def _listen(self, topic: str) -> None:
-        self.create_subscription(DiagnosticArray, topic, partial(self._take, topic), _DEPTH)
-
-    def _take(self, topic: str, array: DiagnosticArray) -> None:
-        values = ({pair.key: pair.value for pair in status.values} for status in array.status)
-        parts = zip(array.status, values, strict=True)
-        statuses = ((s.name, s.level[0], s.message, each, s.hardware_id) for s, each in parts)
-        self._watch.take(topic, statuses, time.monotonic())
+        self.create_subscription(
+            DiagnosticArray, topic, lambda array: self._watch.take(topic, array, time.monotonic()), _DEPTH
+        )
 
 
 @contextlib.contextmanager
@@ -75,8 +70,6 @@ def listening(watch: Watch) -> Iterator[Listener]:
     """A listener in the ROS graph; signals are left to the caller."""
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     try:
-        listener = Listener(watch)
-        yield listener
-        listener.destroy_node()
+        yield Listener(watch)
     finally:
         try_shutdown()

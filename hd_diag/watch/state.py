@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import math
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
-from itertools import islice
 from typing import Any, NamedTuple
 
 from hd_diag.formatting import json_ready, listed
@@ -14,7 +12,7 @@ from hd_diag.formatting import json_ready, listed
 PREFIX = "hd_diag: "
 """Start of the names of this package's statuses; the joint follows."""
 
-_LEVELS = ("ok", "warn", "error", "stale")  # of a diagnostic_msgs/DiagnosticStatus
+_LEVELS = dict(enumerate(("ok", "warn", "error", "stale")))  # of a diagnostic_msgs/DiagnosticStatus
 _SILENT_PERIODS, _SILENT = 3.0, 3.0  # a joint is silent after so many periods and seconds
 _MOST_JOINTS, _MOST_VALUES, _LONGEST = 1024, 256, 2000  # a hostile sender cannot fill memory
 _WHOLE_DIGITS, _NAMES_SHOWN = 15, 5  # every reader of JSON keeps such a whole number
@@ -38,18 +36,10 @@ class JointView(NamedTuple):
     silent: bool = False
     stale: bool = False
 
-    def number(self, key: str) -> float:
-        """A value that is a number; nan where there is none."""
-        value = self.values.get(key)
-        return float(value) if isinstance(value, (int, float)) else math.nan
-
 
 @dataclass
 class Watch:
-    """State of a watcher. It shows all joints and nodes, or those that are asked for.
-
-    `messages` counts DiagnosticArrays, `answers` come from nodes that were asked for a diagnosis.
-    """
+    """What came of all joints and nodes, or of some, in so many `messages`; `answers` of nodes asked."""
 
     joints: Collection[str] = ()
     namespaces: Collection[str] = ()
@@ -58,17 +48,18 @@ class Watch:
     # By topic, hardware_id and joint: the last report, its level, when it came and how long after another.
     _seen: dict[tuple[str, str, str], tuple[JointView, int, float, float]] = field(default_factory=dict)
 
-    def take(self, topic: str, statuses: Iterable[Any], now: float) -> None:
-        """Take what came on a topic at a time [s]: name, level, message, values, hardware_id of statuses."""
+    def take(self, topic: str, array: Any, now: float) -> None:
+        """Take a DiagnosticArray that came on a topic at a time [s]."""
         self.messages += 1
-        for name, level, text, values, identifier in statuses:
-            joint, message, hardware = (t[:_LONGEST] for t in (name.removeprefix(PREFIX), text, identifier))
-            key = topic, hardware, joint
-            if name.startswith(PREFIX) and (key in self._seen or len(self._seen) < _MOST_JOINTS):
-                kept = {k[:_LONGEST]: _value(v[:_LONGEST]) for k, v in islice(values.items(), _MOST_VALUES)}
-                node, named = hardware.removesuffix(f"/{joint}") or topic, _level_name(level)
-                code = str(kept.get("fault_code") or named.upper())
-                view = JointView(joint, node, hardware, topic, named, code, message, kept)
+        for status in array.status:
+            joint, hardware = status.name.removeprefix(PREFIX)[:_LONGEST], status.hardware_id[:_LONGEST]
+            key, (level,) = (topic, hardware, joint), status.level
+            if status.name.startswith(PREFIX) and (key in self._seen or len(self._seen) < _MOST_JOINTS):
+                pairs = ((v.key[:_LONGEST], v.value[:_LONGEST]) for v in status.values[:_MOST_VALUES])
+                values = {name: _value(text) for name, text in pairs}
+                node, named = hardware.removesuffix(f"/{joint}"), _LEVELS.get(level, f"level {level}")
+                code, text = str(values.get("fault_code") or named.upper()), status.message[:_LONGEST]
+                view = JointView(joint, node or topic, hardware, topic, named, code, text, values)
                 period = now - self._seen[key][2] if key in self._seen else 0.0
                 self._seen[key] = view, level, now, period
 
@@ -89,26 +80,22 @@ class Watch:
         """Joints that were asked for and not reported yet."""
         return [joint for joint in self.joints if joint not in {view.joint for view in self.view(0.0)}]
 
-    def explanation(self) -> str:
-        """What was seen instead of what was asked for."""
+    def lack(self, until: str) -> str:
+        """What was not reported until now, which is said in words, and what is there; empty where all was."""
+        if not (missing := self.missing()) and self.view(0.0):
+            return ""
         reported = [f"{view.node} {view.joint}" for view, *_ in self._seen.values()]
         none = "only diagnostics of others came" if self.messages else "no diagnostics came at all"
-        return f"there is {listed(reported, _NAMES_SHOWN)}" if reported else none
+        there = f"there is {listed(reported, _NAMES_SHOWN)}" if reported else none
+        return f"no report of {', '.join(missing) or 'an hd_diag node'} {until}: {there}"
 
-
-def as_json(watch: Watch, now: float) -> dict[str, Any]:
-    """Everything known at a time [s], schema ``hd_diag/watch/1``."""
-    joints = [view._asdict() for view in watch.view(now)]
-    return dict(json_ready({"schema": "hd_diag/watch/1", "joints": joints, "missing": watch.missing()}))
-
-
-def _level_name(level: int) -> str:
-    return _LEVELS[level] if level < len(_LEVELS) else f"level {level}"
+    def as_json(self, now: float) -> dict[str, Any]:
+        """Everything known at a time [s], schema ``hd_diag/watch/1``."""
+        joints = [view._asdict() for view in self.view(now)]
+        return dict(json_ready({"schema": "hd_diag/watch/1", "joints": joints, "missing": self.missing()}))
 
 
 def _value(text: str) -> bool | int | float | str:
-    if text in ("true", "false"):
-        return text == "true"
     with contextlib.suppress(ValueError):
         return int(text) if text.isdecimal() and len(text) <= _WHOLE_DIGITS else float(text)
-    return text
+    return {"true": True, "false": False}.get(text, text)
