@@ -9,8 +9,8 @@ from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 
 from demo.process import DemoError
-from hd_diag.watch import JointView, Watch
 from hd_diag.watch.listener import Listener
+from hd_diag.watch.state import JointView, Watch
 
 ANSWER_LIMIT = 10.0
 """For a parameter to be answered, and to show in the diagnostics [s]."""

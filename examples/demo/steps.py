@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from hd_diag.watch import JointView
+from hd_diag.watch.state import JointView
 
 # Key, heading of three lines, decimals of a column.
 _COLUMNS = (

@@ -54,7 +54,9 @@ class Display(Live):
         self._messages, self._faults = 0, [("", True)]
         super().__init__(
             console=console,
-            get_renderable=lambda: Group(_TITLE, picture(watch, self._now)),
+            get_renderable=lambda: Group(
+                Text("hd-diag watch  d: diagnose, q: quit", "bold"), picture(watch, self._now)
+            ),
             auto_refresh=False,
             transient=not console.is_interactive,  # a pipe has had it
         )
@@ -63,8 +65,8 @@ class Display(Live):
         """Show the present state [s] where a fault is another, or where it is time to."""
         self._now, is_live = now, self.console.is_interactive
         faults = [(view.fault_code, view.silent) for view in self._watch.view(now)]
-        has_more = is_live or self._watch.messages > self._messages
-        if faults != self._faults or (now >= self._due and has_more):
+        has_come = is_live or self._watch.messages > self._messages
+        if faults != self._faults or (has_come and now >= self._due):
             self._faults, self._messages = faults, self._watch.messages
             self._due = now + (_REFRESH if is_live else PERIOD)
             self.refresh() if is_live else self.console.print(picture(self._watch, now))
@@ -74,8 +76,8 @@ def picture(watch: Watch, now: float) -> Group:
     """What is missing or answered, then the table of joints, then what is said of each."""
     views = watch.view(now)
     table = Table(box=None, pad_edge=False)
-    for heading, justify in (("joint", "left"), ("fault", "left"), *((h, "right") for h, *_ in _NUMBERS)):
-        table.add_column(heading, justify=justify, overflow="fold")
+    for place, heading in enumerate(("joint", "fault", *(heading for heading, *_ in _NUMBERS))):
+        table.add_column(heading, justify="right" if place > 1 else "left", overflow="fold")
     for view in views:
         names = (_text(name, _style(view)) for name in (view.joint, view.fault_code))
         numbers = (_number(view, key, places) for _, key, places in _NUMBERS)
@@ -95,8 +97,8 @@ def _style(view: JointView) -> str:
 
 def _number(view: JointView, key: str, places: int) -> str:
     """A value with so many decimals, without where it is large; a dash where it is not finite."""
-    value = view.values.get(key)
-    if not isinstance(value, (int, float)) or not math.isfinite(value):
+    value = view.number(key)
+    if not math.isfinite(value):
         return "-"
     return f"{value:.{places}f}" if abs(value) < _LARGE else f"{value:.0e}"
 
@@ -105,12 +107,12 @@ def in_words(view: JointView) -> str:
     """What is known of a joint beside its numbers, in one line without control characters."""
     values, code = view.values, view.fault_code
     others = " ".join(each for each in str(values.get("fault_codes", "")).split() if each != code)
-    silent, also = view.silent and f"no report for {view.age:.0f} s; the last:", others and f"(also {others})"
+    silent = f"no report for {view.age:.0f} s; the last:" if view.silent else ""
     size, limit = (_number(view, f"residual_order_{key}_arcsec", 1) for key in ("amplitude", "limit"))
     repeats = view.level == "ok" and values.get("residual_order_repeats") is True
     state, verdict = str(values.get("diagnosis_state", "none")), values.get("verdict")
     parts = (
-        " ".join(filter(None, dict.fromkeys((silent, code, view.message, also)))),
+        " ".join(filter(None, dict.fromkeys((silent, code, view.message, others and f"(also {others})")))),
         repeats and f"residual repeats with {values.get('residual_order')}: {size} of {limit} arcsec allowed",
         f"{values.get('samples', '-')} samples",
         f"latency {_number(view, 'latency_p99_us', 0)} µs",

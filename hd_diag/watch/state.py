@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -36,6 +37,11 @@ class JointView(NamedTuple):
     silent: bool = False
     stale: bool = False
 
+    def number(self, key: str) -> float:
+        """A value that is a number; nan where there is none."""
+        value = self.values.get(key)
+        return float(value) if isinstance(value, (int, float)) else math.nan
+
 
 @dataclass
 class Watch:
@@ -55,8 +61,8 @@ class Watch:
             joint, hardware = status.name.removeprefix(PREFIX)[:_LONGEST], status.hardware_id[:_LONGEST]
             key, (level,) = (topic, hardware, joint), status.level
             if status.name.startswith(PREFIX) and (key in self._seen or len(self._seen) < _MOST_JOINTS):
-                pairs = ((v.key[:_LONGEST], v.value[:_LONGEST]) for v in status.values[:_MOST_VALUES])
-                values = {name: _value(text) for name, text in pairs}
+                pairs = status.values[:_MOST_VALUES]
+                values = {pair.key[:_LONGEST]: _value(pair.value[:_LONGEST]) for pair in pairs}
                 node, named = hardware.removesuffix(f"/{joint}"), _LEVELS.get(level, f"level {level}")
                 code, text = str(values.get("fault_code") or named.upper()), status.message[:_LONGEST]
                 view = JointView(joint, node or topic, hardware, topic, named, code, text, values)
