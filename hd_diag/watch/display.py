@@ -16,10 +16,8 @@ from hd_diag.watch.state import JointView, Watch
 
 PERIOD, _REFRESH = 1.0, 0.25
 """Between tables of a pipe without another fault, and between those in a terminal [s]."""
-
-_UNWRAPPED, _LONGEST = 10_000, 500  # width of a pipe, longest text [characters]
+_UNWRAPPED, _LONGEST, _LARGE = 10_000, 500, 1e5  # width of a pipe, longest text; number with an exponent
 _TITLE = Text("hd-diag watch  d: diagnose, q: quit", "bold")
-_LARGE = 1e5  # written with an exponent from here on
 _STYLES, _GREY = {"ok": "green", "warn": "yellow", "error": "bold red"}, "bright_black"
 
 # Heading, key in the diagnostics, decimals.
@@ -54,9 +52,7 @@ class Display(Live):
         self._messages, self._faults = 0, [("", True)]
         super().__init__(
             console=console,
-            get_renderable=lambda: Group(
-                Text("hd-diag watch  d: diagnose, q: quit", "bold"), picture(watch, self._now)
-            ),
+            get_renderable=lambda: Group(_TITLE, picture(watch, self._now)),
             auto_refresh=False,
             transient=not console.is_interactive,  # a pipe has had it
         )
@@ -98,9 +94,8 @@ def _style(view: JointView) -> str:
 def _number(view: JointView, key: str, places: int) -> str:
     """A value with so many decimals, without where it is large; a dash where it is not finite."""
     value = view.number(key)
-    if not math.isfinite(value):
-        return "-"
-    return f"{value:.{places}f}" if abs(value) < _LARGE else f"{value:.0e}"
+    shown = f"{value:.{places}f}" if abs(value) < _LARGE else f"{value:.0e}"
+    return shown if math.isfinite(value) else "-"
 
 
 def in_words(view: JointView) -> str:

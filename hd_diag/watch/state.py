@@ -61,8 +61,7 @@ class Watch:
             joint, hardware = status.name.removeprefix(PREFIX)[:_LONGEST], status.hardware_id[:_LONGEST]
             key, (level,) = (topic, hardware, joint), status.level
             if status.name.startswith(PREFIX) and (key in self._seen or len(self._seen) < _MOST_JOINTS):
-                pairs = status.values[:_MOST_VALUES]
-                values = {pair.key[:_LONGEST]: _value(pair.value[:_LONGEST]) for pair in pairs}
+                values = {v.key[:_LONGEST]: _value(v.value[:_LONGEST]) for v in status.values[:_MOST_VALUES]}
                 node, named = hardware.removesuffix(f"/{joint}"), _LEVELS.get(level, f"level {level}")
                 code, text = str(values.get("fault_code") or named.upper()), status.message[:_LONGEST]
                 view = JointView(joint, node or topic, hardware, topic, named, code, text, values)
@@ -88,12 +87,11 @@ class Watch:
 
     def lack(self, until: str) -> str:
         """What was not reported until now, which is said in words, and what is there; empty where all was."""
-        if not (missing := self.missing()) and self.view(0.0):
-            return ""
-        reported = [f"{view.node} {view.joint}" for view, *_ in self._seen.values()]
+        missing, seen = self.missing(), [f"{view.node} {view.joint}" for view, *_ in self._seen.values()]
         none = "only diagnostics of others came" if self.messages else "no diagnostics came at all"
-        there = f"there is {listed(reported, _NAMES_SHOWN)}" if reported else none
-        return f"no report of {', '.join(missing) or 'an hd_diag node'} {until}: {there}"
+        there = f"there is {listed(seen, _NAMES_SHOWN)}" if seen else none
+        words = f"no report of {', '.join(missing) or 'an hd_diag node'} {until}: {there}"
+        return words if missing or not self.view(0.0) else ""
 
     def as_json(self, now: float) -> dict[str, Any]:
         """Everything known at a time [s], schema ``hd_diag/watch/1``."""
