@@ -72,10 +72,18 @@ def stretch(request, monkeypatch):
     taken_at_once(monkeypatch, request.param)
 
 
+COMPRESSIONS, ENDS = ("zstd", "lz4", "none"), ("whole", "without summary", "cut off")
+
+
 @pytest.mark.usefixtures("stretch")
-@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
-@pytest.mark.parametrize("chunk_size", [200, 5000, 0])
-@pytest.mark.parametrize("end", ["whole", "without summary", "cut off"])
+@pytest.mark.parametrize(
+    ("chunk_size", "compression", "end"),
+    [  # every pair of them
+        *((200, *each) for each in zip(COMPRESSIONS, ENDS, strict=True)),
+        *((5000, *each) for each in zip(COMPRESSIONS, ENDS[1:] + ENDS[:1], strict=True)),
+        *((0, *each) for each in zip(COMPRESSIONS, ENDS[2:] + ENDS[:2], strict=True)),
+    ],
+)
 def test_any_chunking(tmp_path, compression, chunk_size, end):
     """Whether a file has indexes and a summary or not; 0: without chunks."""
     options = dict.fromkeys(("indexes", "summary"), end != "without summary") | {"chunked": bool(chunk_size)}
@@ -131,9 +139,13 @@ def test_order_is_that_of_a_stable_sort(tmp_path_factory, times, chunk_size, ind
         assert read(path) == in_order(messages)
 
 
-@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
-@pytest.mark.parametrize("version", [8, 9])
-@pytest.mark.parametrize("metadata", [True, False])
+@pytest.mark.parametrize(
+    ("plugin", "version", "metadata"),
+    [
+        *((StoragePlugin.MCAP, *each) for each in ((8, True), (9, False))),
+        *((StoragePlugin.SQLITE3, *each) for each in ((8, False), (9, True))),
+    ],
+)
 def test_rosbag2_folders(tmp_path, plugin, version, metadata):
     messages = sample(50, disorder=10)
     rosbag2_folder(tmp_path / "bag", messages, plugin=plugin, version=version)
@@ -500,7 +512,9 @@ def write_large(path, chunk_size, compression="zstd"):
     return path
 
 
-@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
+@pytest.mark.parametrize(
+    "compression", ["lz4", *(pytest.param(c, marks=pytest.mark.slow) for c in ("zstd", "none"))]
+)
 def test_a_large_chunk_is_read_in_parts(tmp_path, compression):
     """What is read is what several chunks hold, whether the file is finished or not."""
     one = write_large(tmp_path / "one.mcap", 1 << 30, compression)

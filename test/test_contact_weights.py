@@ -81,8 +81,7 @@ def worn(angle: float, clearance: float) -> polyline.Mesh:
     return dataclasses.replace(mesh, rotation=mesh.rotation + clearance / mesh.radius)
 
 
-@pytest.mark.parametrize("order", [2, 4])
-@pytest.mark.parametrize("member", ["slot", "radial"])
+@pytest.mark.parametrize(("member", "order"), [("slot", 4), ("radial", 2)])
 def test_moved_slots_and_slots_out_of_round(member: str, order: int) -> None:
     size, place = 1e-6, 0.7
     moved = size * np.cos(order * (SLOTS - place))
@@ -154,7 +153,7 @@ def many() -> tuple[Array, Array]:
     return angle, torque
 
 
-@pytest.mark.parametrize("order", [2, 4, 6])
+@pytest.mark.parametrize("order", [2, 6])
 def test_harmonics_are_sums_of_shares(many: tuple[Array, Array], order: int) -> None:
     share, radius, slots, teeth = exact(*many)
     lever = np.abs(share) / radius
@@ -165,8 +164,10 @@ def test_harmonics_are_sums_of_shares(many: tuple[Array, Array], order: int) -> 
     assert rms(np.abs(found.harmonics("tooth", (order,))[:, 0] - expected)) < 0.04 * np.abs(expected).max()
 
 
-@pytest.mark.parametrize("number", [0, 60, 199])
-@pytest.mark.parametrize(("member", "pitch"), [("slot", PITCH), ("tooth", 2 * math.pi / 200)])
+@pytest.mark.parametrize(
+    ("member", "pitch", "number"),
+    [("slot", PITCH, 0), ("slot", PITCH, 60), ("tooth", 2 * math.pi / 200, 199)],
+)
 def test_single_teeth_are_their_shares(
     many: tuple[Array, Array], member: str, pitch: float, number: int
 ) -> None:

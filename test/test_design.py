@@ -14,7 +14,6 @@ from hd_diag.diagnosis.fit.design import (
     inverse,
     lower_bound,
     solve,
-    surprise,
 )
 from hd_diag.diagnosis.noise import ORDER, whitening
 
@@ -222,18 +221,3 @@ def test_inverse_shares_out_between_columns_that_are_alike() -> None:
     fit = twice @ inverse(twice.T @ twice) @ twice.T @ y
     assert_allclose(fit, y - left(x, y), rtol=1e-8)
     assert np.isfinite(inverse(np.zeros((3, 3)))).all()
-
-
-@pytest.mark.parametrize("gain", [0.0, 0.3, 8.0, 700.0, 1400.0, 1600.0, 1e5])
-def test_surprise_of_four_columns_is_exact(gain: float) -> None:
-    """Chi-square of four degrees of freedom: exp(-g/2) (1 + g/2), far below the least number."""
-    assert surprise(gain, 4) == pytest.approx(0.5 * gain - np.log1p(0.5 * gain), abs=1e-12, rel=1e-5)
-
-
-@pytest.mark.parametrize("added", [1, 2, 3, 8])
-def test_surprise_grows_through_the_asymptote_and_counts_columns(added: int) -> None:
-    found = np.array([surprise(gain, added) for gain in np.linspace(1300.0, 1700.0, 401)])
-    assert np.all(np.isfinite(found))
-    assert_allclose(np.diff(found), 0.5, rtol=0.03)
-    assert surprise(50.0, added) > surprise(50.0, added + 1)
-    assert surprise(0.0, added) == surprise(-1.0, added) == 0.0

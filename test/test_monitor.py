@@ -110,6 +110,16 @@ def test_drives_side_by_side_give_each_its_own_error_to_the_last_bit() -> None:
         assert_array_equal(errors[:, number], alone)
 
 
+def test_a_tilt_acts_on_the_next_sample() -> None:
+    wide = {"a__face_width": 0.011, "a__cup_length": 0.04, "a__sections": 3}
+    monitor = Monitor(config("a", **wide))
+    for number, tilt in enumerate(({}, {"a__tilt__magnitude": 1e-3, "a__tilt__direction": 0.7})):
+        monitor.configure(config("a", **wide, **tilt))
+        drive = config("a", **wide, **tilt).joints[0].drive
+        expected = transmission_error(drive, np.array([0.4]), np.zeros(1))[0]
+        assert predicted(monitor, START + number * MS) == expected
+
+
 def test_other_names_begin_the_stream_anew() -> None:
     monitor = Monitor(TWO)
     predicted(monitor, START)

@@ -191,7 +191,9 @@ def taken_in(bag: Path) -> list[int]:
     return [stamp_of(deserialize_message(data, JointState)) for found in states for _, data in found]
 
 
-@pytest.mark.parametrize(("mode", "service"), [("snapshot", "snapshot"), ("off", "start_log")])
+@pytest.mark.parametrize(
+    ("mode", "service"), [("snapshot", "snapshot"), pytest.param("off", "start_log", marks=pytest.mark.slow)]
+)
 def test_of_a_node_that_is_killed_what_is_on_disk_is_read(mode: str, service: str, tmp_path: Path) -> None:
     """It is what came first, without a gap, and replays; what the memory alone held is lost."""
     log, before, count = tmp_path / "log", 2000, 1000

@@ -47,8 +47,10 @@ def read(path: Path, topics: list[str] | None = None) -> list[int]:
     return [int(data[8:-1]) for data in every]
 
 
-@pytest.mark.parametrize("back", [0.353, 2.0, 3600.0, 1e9])
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize(
+    ("way", "back"),
+    [*((way, 2.0) for way in WAYS), *(("small chunks", back) for back in (0.353, 3600.0, 1e9))],
+)
 def test_the_order_of_the_file_is_kept(way: str, back: float, tmp_path: Path) -> None:
     path = WAYS[way](tmp_path, two_topics(500, back))
     assert read(path) == list(range(500))

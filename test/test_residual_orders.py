@@ -187,7 +187,7 @@ def reports(record: Record, table: TorsionMap) -> list[Status]:
     return said
 
 
-@pytest.mark.parametrize("moves", ["standard", "one_direction"])
+@pytest.mark.parametrize("moves", [pytest.param("standard", marks=pytest.mark.slow), "one_direction"])
 def test_an_eccentric_joint_is_named_within_a_minute(moves: str, table: TorsionMap) -> None:
     """18 um that nobody configured, in noise of 3 arcsec rms; the residual's rms is below its own limit."""
     rng = np.random.default_rng(5)
@@ -208,7 +208,9 @@ def test_an_eccentric_joint_is_named_within_a_minute(moves: str, table: TorsionM
     ("moves", "recording"),
     [
         ("standard", Recording(noise="pink", noise_scale=4.0)),
-        ("one_speed", Recording(noise="heavy", dropouts=0.05, jitter=3e-4)),
+        pytest.param(
+            "one_speed", Recording(noise="heavy", dropouts=0.05, jitter=3e-4), marks=pytest.mark.slow
+        ),
         ("short", Recording()),
         ("one_direction", Recording(torque=False, noise_scale=2.0, output_bits=18)),
     ],

@@ -63,10 +63,15 @@ ABOVE = {
 }
 
 
-@pytest.mark.parametrize("above", list(ABOVE))
+BETWEEN = [(",", "."), (";", ","), ("\t", ","), ("|", "."), (" ", "."), ("   ", ","), (", ", ".")]
+
+
 @pytest.mark.parametrize(
-    ("between", "decimal"),
-    [(",", "."), (";", ","), ("\t", ","), ("|", "."), (" ", "."), ("   ", ","), (", ", ".")],
+    ("above", "between", "decimal"),
+    [
+        *((above, *each) for above in ("remarks", "units") for each in BETWEEN),
+        *((above, *each) for above in ("nothing", "names", "marked") for each in BETWEEN[:6:5]),
+    ],
 )
 def test_rows_are_found_below_whatever_stands_above(
     above: str, between: str, decimal: str, given: dict[str, np.ndarray], tmp_path: Path

@@ -15,7 +15,7 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from live import MS, START, parameters
-from running import Process, Rig, feed, running
+from running import Rig, feed, running
 
 pytestmark = pytest.mark.usefixtures("ros")
 
@@ -139,16 +139,6 @@ def test_the_tour_s_way_to_set_parameters(arm: Rig) -> None:
     code, said = set_them("shoulder.eccentricity.magnitude=0.0", "shoulder.ratio=3.0")
     assert (code, said[:9]) == (1, "refused: ")
     assert arm.values("shoulder")["eccentricity_um"] == "7"
-
-
-def test_several_nodes_are_told_apart(arm: Rig, tmp_path: Path) -> None:
-    with Process(tmp_path, parameters("elbow", "wrist", diagnostics_rate=REPORTS)) as process:
-        rig = Rig(process)
-        run = watch("--once", "--timeout", "30", "--json")
-        rig.close()
-        found = {(joint["node"], joint["joint"]) for joint in json.loads(run.stdout)["joints"]}
-        here, there = f"{arm.process.namespace}/hd_diag", f"{process.namespace}/hd_diag"
-        assert found == {(here, "elbow"), (here, "shoulder"), (there, "elbow"), (there, "wrist")}
 
 
 def test_a_reader_that_has_enough(arm: Rig) -> None:

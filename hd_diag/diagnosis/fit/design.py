@@ -232,28 +232,6 @@ def f_test(before: float, after: float, added: int, rows: int, fitted: int) -> f
     return float(special.fdtrc(added, freedom, ratio))
 
 
-def surprise(gain: float, added: int) -> float:
-    """How little a gain of the deviance is to be expected of noise: minus the logarithm of its chance.
-
-    Parameters
-    ----------
-    gain : float
-        Fall of the residual sum of squares, in units of the noise.
-    added : int
-        Columns that brought it.
-
-    Returns
-    -------
-    float
-        Finite where the chance itself is too small for a number: there by its asymptote.
-    """
-    chance = float(special.chdtrc(added, max(gain, 0.0)))
-    if chance > 0.0:
-        return -float(np.log(chance))
-    half = 0.5 * gain
-    return half - (0.5 * added - 1.0) * float(np.log(half)) + float(special.gammaln(0.5 * added))
-
-
 def lower_bound(gains: Floats) -> float:
     """Lower 99 % confidence bound of a mean over blocks."""
     if gains.size < 2:
