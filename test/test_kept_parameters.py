@@ -137,7 +137,7 @@ def diagnosed(family: str, seed: int) -> tuple[records.Record, Diagnosis]:
 @pytest.mark.parametrize(
     "seed",
     [
-        3300,
+        pytest.param(3300, marks=pytest.mark.slow),
         pytest.param(5107, marks=pytest.mark.slow),
         pytest.param(5205, marks=pytest.mark.slow),
         pytest.param(1_000_000_575, marks=pytest.mark.slow),
