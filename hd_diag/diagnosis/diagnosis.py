@@ -111,7 +111,7 @@ class Diagnosis:
     def predicting(self) -> bool:
         """Whether held-out rows are predicted better with the causes than without, or as configured."""
         rms = self.rms
-        return rms is None or rms.left < rms.without_causes
+        return rms is None or (math.isnan(rms.discarded) and rms.left < rms.without_causes)
 
     def doubt(self, cause: Cause) -> str:
         """The first reason for which a cause is not named; empty where it is.
@@ -220,6 +220,7 @@ def diagnose(
         first = refit(renumbered(record.select(~test)), configured, rng)
         begun = linearise(record, configured, first.parameters, rows=~test, catalogue=catalogue, work=work)
     work.tell(0.15, "looking for causes")
+    begun = begun.passed()
     found = search(_starts(begun, test), begun, rng, first.torque_zero)
     best, kept = found.best, Kept({})
     work.tell(0.62, "testing which parameters are as configured")
@@ -233,6 +234,10 @@ def diagnose(
     work.tell(0.7, "measuring the gain")
     without = settle(fit.beside(()), best.motor)
     rms, gain = measured_gain(record, test, which, without, measured, every, rng)
+    alone = Solution(without, given=best.motor)
+    if rms.extended > rms.refit:  # causes that undo each other in a fit do not as the model runs
+        of_alone, gain = measured_gain(record, test, which, without, alone, every.beside(()), rng)
+        rms = rms.running(of_alone)
     work.tell(0.8, "using all data")
     whole = measured.at(settle(replace(every, whiten=fit.whiten), chosen, 2, learn=False))
     wider = _wider(rms, configured)
@@ -253,7 +258,7 @@ def diagnose(
         gain,
         {name: wider[GROUPS[name][0]] * bound for name, bound in kept.physical(configured).items()},
         left,
-        model=extended_model(whole, configured, record),
+        model=extended_model(whole if math.isnan(rms.discarded) else alone, configured, record),
         catalogue=catalogue,
         encoder_zeros=tuple(encoder_zeros(whole).tolist()),
         motor_std=motor_deviations(whole),
@@ -270,7 +275,7 @@ def _starts(begun: LinearisedFit, test: Rows) -> list[LinearisedFit]:
     record = renumbered(data.source.select(some))
     # Single rows are for causes that remember.
     rows = ~test[some] & (np.bincount(record.run) > ORDER)[record.run]
-    fit = linearise(record, data.configured, begun.parameters, rows, data.catalogue, begun.work)
+    fit = linearise(record, data.configured, begun.parameters, rows, data.catalogue, begun.work, data.known)
     fit = fit.beside(begun.present)
     as_configured = fit_parameters.vector(data.configured, data.configured)
     return [fit] if record.by_current else [fit, fit.moved(as_configured)]
@@ -294,7 +299,9 @@ def _described(record: Record, lines: list[Unexplained], rms: Rms, wanders: bool
     if wanders and rms.extended > MISFIT * rms.noise:
         what = "wanders in phase or amplitude, which the fit follows and a model that runs cannot"
         lines = [*lines, Unexplained(0.0, "input", math.sqrt(2.0) * rms.wandering, *_NO_LAWS, what)]
-    elif rms.extended**2 - rms.wandering**2 > (MISFIT * rms.noise) ** 2 and not rms.misfit.suspected:
+    elif rms.extended**2 - rms.wandering**2 > (MISFIT * rms.noise) ** 2 and not (
+        rms.misfit.suspected or rms.discarded > 0.0
+    ):
         what = "is left only as the model runs: its signals are late"
         lines = [*lines, Unexplained(0.0, "input", beyond, *_NO_LAWS, what)]
     if lines or not rms.misfit.suspected:

@@ -47,7 +47,8 @@ class Rms:
     the torque as reported, not smoothed. All but the first two contain `wandering`: how causes wander in
     amplitude and phase, which nothing foretells. The noise is `repeated` if it is from states that were
     passed again; else it is a lower bound, from differences between neighbours. `wandering_offline` is what
-    wanders of `offline`.
+    wanders of `offline`. Where a model with causes left more as it ran than the parameters alone, that is
+    `discarded`, and the first two are of the parameters alone.
     """
 
     nominal: float
@@ -64,6 +65,12 @@ class Rms:
     wandering_offline: float = field(default=0.0, kw_only=True)
     slow: float = field(default=math.nan, kw_only=True)
     gear: float = field(default=math.nan, kw_only=True)
+    discarded: float = field(default=math.nan, kw_only=True)
+
+    def running(self, other: Rms) -> Rms:
+        """With another model in the place of the one that ran, which is discarded."""
+        own = {name: getattr(other, name) for name in ("named", "extended", "live", "wandering")}
+        return replace(self, **own, discarded=self.extended)
 
     @property
     def left(self) -> float:

@@ -70,7 +70,7 @@ def _limits(diagnosis: Diagnosis) -> list[str]:
     """What limits the diagnosis: hints that predict nothing, rows that were not used, and the time."""
     rms, record, parts = diagnosis.rms, diagnosis.record, []
     if rms is not None and diagnosis.hints and not diagnosis.predicting:
-        left = rms.left / ARCSEC
+        left = (rms.left if math.isnan(rms.discarded) else rms.discarded) / ARCSEC
         parts.append(
             "held-out data are predicted no better with it than without "
             f"({left:.2f} against {arcsec(rms.without_causes)}): record more"

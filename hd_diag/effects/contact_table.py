@@ -40,7 +40,9 @@ MAP_STEPS = 8
 PHASES = 16
 """Phases of the flexspline under the wave generator, over half a turn."""
 
-_STEPS_PER_SLOT = 2  # the shares step where a pair comes into load; errors of some um blur the steps anyway
+# In one section and in more. The shares step where a pair comes into load: the steps of several sections are
+# smaller, and errors of some um blur them anyway.
+_STEPS_PER_SLOT = (2, 1)
 _IDLE = 1e-9  # share of the torque limit that stands for the limit towards zero torque from one side
 _SPARSE = 4  # angles of the grid at which teeth are displaced: what is beyond the first order is smooth
 _MOST_KEPT = 24 << 20  # bytes
@@ -61,8 +63,8 @@ class ContactTable:
 
     Attributes
     ----------
-    steps : int
-        Of the grid of angles, whose nodes are from 0 to 2 pi, both included.
+    steps, per_slot : int
+        Of the grid of angles, whose nodes are from 0 to 2 pi, both included; `per_slot` of them a slot.
 
     Raises
     ------
@@ -75,7 +77,9 @@ class ContactTable:
             raise ValueError(f"torque_limit must be positive, not {torque_limit} N m")
         self.drive = drive
         self.torque_limit = torque_limit
-        self.steps = _STEPS_PER_SLOT * drive.mesh.geometry.circular_spline_teeth
+        geometry = drive.mesh.geometry
+        self.per_slot = _STEPS_PER_SLOT[geometry.sections > 1]
+        self.steps = self.per_slot * geometry.circular_spline_teeth
         self._kept = ArrayCache(_MOST_KEPT)
         self._maps: dict[float, TorsionMap | None] = {}
 
@@ -142,7 +146,7 @@ class ContactTable:
         """
         count = self.drive.mesh.geometry.circular_spline_teeth
         slots = np.linspace(0, count, _FEW_SLOTS, endpoint=False).astype(np.int64)
-        turned = [np.roll(self.one_slot(s)[:, :-1], -_STEPS_PER_SLOT * s, axis=1) for s in slots.tolist()]
+        turned = [np.roll(self.one_slot(s)[:, :-1], -self.per_slot * s, axis=1) for s in slots.tolist()]
         return np.asarray(np.mean(turned, axis=0).transpose(2, 0, 1))
 
     def harmonics(self, error: Error, orders: tuple[int, ...]) -> Complexes:

@@ -84,10 +84,10 @@ def _positions(signals: Signals, angle: Floats, residual: Floats) -> list[float]
     gram = np.array([[_correlation(count, one * two) for two in template] for one in template])
     gram = np.moveaxis(gram, 2, 0) + 1e-6 * np.max(gram) * np.eye(2)
     gain = np.einsum("bi,bij,bj->b", moment, np.linalg.inv(gram), moment)
-    best = []
+    best, near = list[int](), 2 * table.per_slot
     for _ in range(_CANDIDATES):
         best.append(int(np.argmax(gain)))
-        gain[(best[-1] + np.arange(-4, 5)) % bins] = -np.inf
+        gain[(best[-1] + np.arange(-near, near + 1)) % bins] = -np.inf
     return [2.0 * np.pi / bins * index for index in best]
 
 

@@ -27,6 +27,7 @@ _MOST, _TURNS = 5, 12  # causes; turns of a search
 _RIVALS = 6  # of each cause, that are settled in its place
 _TRIED = 4  # candidates that are settled in each turn
 _AGAIN = 2  # times that some are: the next best where none of the best is foretold
+_HOPEFUL = 2.0  # log odds that a candidate may lack where the fit stands: steps of the parameters bring more
 _NEAR = 0.5  # share of the best candidate's gain from which another is tried
 _OF_MODEL = ("torsional_hardening",)  # the torsion's own shape
 _ZERO, _TURNED = "torque_offset", 0.01  # share of the torques that another zero must put on the other flank
@@ -358,7 +359,8 @@ def _along_datum(best: Set, rows: int) -> tuple[Set, float]:
     """
     better, reach, times = best, 0.0, rows / best.fit.data.at.size
     for side in (1.0, -1.0):
-        fit, before, known = best.fit, (0.0, 0.0), False
+        before, known, falling = (0.0, 0.0), False, None
+        fit = best.fit
         for away in _DATUM_STEPS:
             start = fit.parameters.copy()
             start[DATUM] = best.fit.parameters[DATUM] + side * away
@@ -373,12 +375,21 @@ def _along_datum(best: Set, rows: int) -> tuple[Set, float]:
                 reach = max(reach, before[0] + share * (away - before[0]))
             if worse > times * _HOPELESS:
                 break
-            # Where it gets better again there is another minimum.
+            # Where it gets better again there is another minimum: at the least of the fall.
             if worse < before[1]:
-                free = replace(best, fit=replace(fit, held=best.fit.held)).settled()
-                better = free if free.value > better.value and free.sensible else better
+                falling = fit
+            elif falling is not None:
+                better, falling = _freed(better, best, falling), None
             before = away, worse
+        if falling is not None:
+            better = _freed(better, best, falling)
     return better, reach
+
+
+def _freed(better: Set, best: Set, held: LinearisedFit) -> Set:
+    """The better of a set and of another, settled from where its datum was held."""
+    free = replace(best, fit=replace(held, held=best.fit.held)).settled()
+    return free if free.value > better.value and free.sensible else better
 
 
 def _at_minima(found: Set, others: list[Set], rng: np.random.Generator) -> list[Set]:
@@ -400,7 +411,7 @@ def _at_minima(found: Set, others: list[Set], rng: np.random.Generator) -> list[
 def _next(now: Set, left: Left) -> Set | None:
     """The set with one cause more, settled; None where none is worth its cost and foretold."""
     new = (one for one in candidates(now) if _kinds((*now.causes, one.item)) not in left)
-    ranked = [one for one in new if one.gain > 0.0]
+    ranked = [one for one in new if one.gain > -_HOPEFUL]
     for _ in range(_AGAIN):
         if not ranked:
             break
@@ -416,7 +427,7 @@ def _best_of(near: Sequence[Candidate], now: Set) -> Set | None:
     """The best set with one of some candidates more; None where none is better than without."""
     settled = [(one.name, now.beside(one.item, one.widths).settled()) for one in near]
     trials = [(name, one) for name, one in settled if one.sensible]
-    best = max((one.value for _, one in trials), default=0.0)
+    best = max([now.value, *(one.value for _, one in trials)])
     polished = [(name, one.polished()) for name, one in trials if one.value > best - _NEARLY]
     better = [(name, one) for name, one in polished if one.sensible and one.value > now.value]
     better.sort(key=lambda pair: -pair[1].value)

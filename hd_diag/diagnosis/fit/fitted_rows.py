@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -37,6 +38,13 @@ _MOST_KEPT = 160 << 20  # bytes
 _KNOWN = 2  # parameters, for a search that goes back to them
 
 
+class PassNoise(NamedTuple):
+    """Noise as passes of the same states measure it: rms [rad], covariances at lags 0 to ORDER [rad^2]."""
+
+    rms: float
+    covariance: Floats
+
+
 @dataclass(frozen=True, eq=False)
 class FittedRows:
     """Rows of a record to be fitted.
@@ -49,11 +57,14 @@ class FittedRows:
         Which rows are fitted.
     catalogue : tuple of Effect
         Causes to search among.
+    known : PassNoise, optional
+        Noise as more rows of the record showed it.
     """
 
     model: RecordModel
     mask: npt.NDArray[np.bool_]
     catalogue: Catalogue
+    known: PassNoise | None = None
     _signals: dict[bytes, Signals] = field(default_factory=dict, init=False)
     _testable: dict[str, tuple[bool, str]] = field(default_factory=dict, init=False)
     _grids: dict[str, list[Values]] = field(default_factory=dict, init=False)
@@ -70,7 +81,8 @@ class FittedRows:
 
     def on(self, mask: npt.NDArray[np.bool_]) -> FittedRows:
         """Other rows of the same record."""
-        return self if np.array_equal(mask, self.mask) else FittedRows(self.model, mask, self.catalogue)
+        same = np.array_equal(mask, self.mask)
+        return self if same else FittedRows(self.model, mask, self.catalogue, self.known)
 
     @cached_property
     def at(self) -> Integers:
@@ -150,10 +162,20 @@ class FittedRows:
 
     def whitening_of(self, residual: Floats) -> Whitening:
         """Noise model from a residual of the fitted rows, which may be more than noise."""
-        noise = self.noise_of(residual)
-        if not noise.repeated or float(np.std(residual)) < _MISFIT * noise.rms:
+        known = self.passes(residual)
+        if known is None or float(np.std(residual)) < _MISFIT * known.rms:
             return whitening(residual, self.run)
-        return whitening_of(measured_covariance(residual, self.run, self.revisits, noise))
+        return whitening_of(known.covariance)
+
+    def passes(self, residual: Floats) -> PassNoise | None:
+        """Noise as passes of the same states measure it, the least that is known; None where they do not.
+
+        What a model leaves out differs between passes too, so that a better model or more rows show less.
+        """
+        noise = self.noise_of(residual)
+        if not noise.repeated or (self.known is not None and (noise.vague or self.known.rms < noise.rms)):
+            return self.known
+        return PassNoise(noise.rms, measured_covariance(residual, self.run, self.revisits, noise))
 
     def signals(self, parameters: Floats) -> Signals:
         """Of the fitted rows at parameters in units of `fit_parameters.units`; the latest are kept."""

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.design import Design, design, inverse, projection
-from hd_diag.diagnosis.fit.fitted_rows import FittedRows
+from hd_diag.diagnosis.fit.fitted_rows import FittedRows, PassNoise
 from hd_diag.diagnosis.fit.mesh_torques import mesh_torques
 from hd_diag.diagnosis.fit.present_effects import Item, PresentEffects, Sized, names, plain
 from hd_diag.diagnosis.fit.record_model import RecordModel
@@ -128,6 +128,12 @@ class LinearisedFit:
             misfit = float(np.std(left) / max(float(np.std(rest)), 1e-300))
         return replace(self, whiten=self.data.whitening_of(rest), misfit=misfit)
 
+    def passed(self) -> LinearisedFit:
+        """With noise as passes of its rows measure it, known to all fits of them."""
+        wide = np.concatenate((self.always(), self.flexible()), axis=1)
+        known = self.data.passes(self.residual - projection(wide, self.residual))
+        return replace(self, data=replace(self.data, known=known))
+
     def flexible(self) -> Floats:
         """Columns by which any cause leaves hardly more than noise, (n, k)."""
         broadband = []
@@ -157,7 +163,7 @@ class LinearisedFit:
             return self
         source = data.source.less_motor(data.source.torque + torques.more - data.source.by_sensor)
         model = RecordModel(source, data.configured, data.model.work)
-        return replace(self, data=FittedRows(model, data.mask, data.catalogue))
+        return replace(self, data=FittedRows(model, data.mask, data.catalogue, data.known))
 
     def sized(self, chosen: Chosen, beta: Floats) -> Sized:
         """The chosen effects with their coefficients out of a fit's."""
@@ -365,15 +371,16 @@ def linearise(
     rows: npt.NDArray[np.bool_] | None = None,
     catalogue: Catalogue = CATALOGUE,
     work: Work | None = None,
+    known: PassNoise | None = None,
 ) -> LinearisedFit:
     """A record linearised about a drive, its noise not known yet; see :class:`FittedRows`.
 
     Of parameters (p,) in units of `fit_parameters.units`, on some rows (n,) where the error is well defined,
-    on all of these without; a part of some work, or of work that may take as long as it does.
+    on all of these without; a part of some work, or of work that may take as long as it does. Noise may be
+    `known` from other rows.
     """
     found = usable(record)
     mask = found if rows is None else found & rows
-    rows_of = FittedRows(
-        RecordModel(record, configured, work or Work()), mask, of_drive(catalogue, configured)
-    )
+    model = RecordModel(record, configured, work or Work())
+    rows_of = FittedRows(model, mask, of_drive(catalogue, configured), known)
     return LinearisedFit(rows_of, parameters)
