@@ -239,7 +239,34 @@ def test_a_loop_that_catalogues_allow_is_usual(size: float) -> None:
     assert told["action"] == ("nothing" if usual else "inspect")
     assert told["advice"].endswith("Usual for a new gear: hysteresis.") is usual
     assert ("arcsec rms, usual for a gear" in told["verdict"]) is usual
-    assert as_json(diagnosis(cause("output_runout", 1.0 * ARCSEC)), "joint_1")["causes"][0]["usual"] is False
+
+
+@pytest.mark.parametrize(("deviation", "usual"), [(0.1, False), (8.0, True)])
+def test_what_may_be_usual_by_its_deviation_asks_for_nothing(deviation: float, usual: bool) -> None:
+    made = loop(33.0)
+    size = made.coefficients.size
+    spread = np.diag(np.full(len(made.covariance), (ARCSEC * deviation) ** 2 / size))
+    told = as_json(diagnosis(dataclasses.replace(made, covariance=spread)), "joint_1")
+    assert told["causes"][0]["usual"] is usual
+
+
+@pytest.mark.parametrize(
+    ("name", "limit"),
+    [
+        ("output_runout", 10.0),
+        ("output_encoder_eccentricity", 10.0),
+        ("input_encoder_eccentricity", 600.0),
+        ("stream_delay", 0.0),
+    ],
+)
+def test_waves_of_a_new_joint_are_usual(name: str, limit: float) -> None:
+    """Of an encoder's disc that is mounted with care; by the first wave alone."""
+    for times in (0.9, 1.1):
+        made = cause(name)
+        values = np.zeros(made.coefficients.size)
+        values[0] = times * max(limit, 1.0) * ARCSEC
+        told = as_json(diagnosis(dataclasses.replace(made, coefficients=values)), "joint_1")
+        assert told["causes"][0]["usual"] is (times < 1.0 and limit > 0.0)
 
 
 def waved(amplitude: Any, rng: np.random.Generator, more: Any = 0.0) -> Diagnosis:

@@ -19,7 +19,7 @@ from hd_diag.diagnosis.measured_noise import (
     measured_covariance,
     measured_noise,
 )
-from hd_diag.diagnosis.noise import ORDER
+from hd_diag.diagnosis.noise import ORDER, whitening_of
 
 
 @pytest.fixture(scope="module")
@@ -117,3 +117,24 @@ def test_passes_too_short_for_a_colour_say_white() -> None:
     passed = Revisits(np.arange(0, 500), np.arange(90, 590), np.zeros((500, 1)))
     found = measured_covariance(np.sin(np.arange(600.0)), run, passed, MeasuredNoise(2.0, 1.9, 2.1, True))
     assert_array_equal(found, [4.0, *[0.0] * ORDER])
+
+
+def test_what_all_rows_show_of_the_noise_is_known_on_some(plain: LinearisedFit) -> None:
+    """A tenth of the rows hardly ever passes a state again: alone they take the misfit for noise."""
+    own = ARCSEC * np.random.default_rng(4).standard_normal(plain.residual.size)
+    measured = own + misfit(plain)
+    known = plain.data.passes(measured)
+    assert known is not None
+    assert known.rms == pytest.approx(ARCSEC, rel=0.1)
+    few = plain.data.at[: plain.data.at.size // 10]
+    some = np.isin(np.arange(plain.data.mask.size), few)
+    part = measured[: few.size]
+    assert plain.data.on(some).passes(part) is None
+    told = dataclasses.replace(plain.data, known=known).on(some)
+    assert told.passes(part) is known
+    assert told.whitening_of(part).scale == whitening_of(known.covariance).scale
+    # What fits better says more of the noise; what fits worse takes nothing back.
+    assert dataclasses.replace(plain.data, known=known).passes(own + 3.0 * misfit(plain)) is known
+    better = dataclasses.replace(plain.data, known=known._replace(rms=2.0 * known.rms)).passes(measured)
+    assert better is not None
+    assert better.rms == known.rms

@@ -267,6 +267,17 @@ def test_a_set_that_was_left_for_another_is_not_gone_back_to() -> None:
     assert again is None or _kinds(again.causes) != _kinds(found.causes)
 
 
+@pytest.mark.parametrize(("lacks", "tried"), [(1.0, True), (3.0, False)])
+def test_a_candidate_that_lacks_little_is_settled_before_it_is_given_up(
+    lacks: float, tried: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Steps of the parameters bring more than their slopes promise: a wrong zero of the torque for one."""
+    at, every = begun(bench(OVAL)), candidates
+    place = "hd_diag.diagnosis.evidence.search.candidates"
+    monkeypatch.setattr(place, lambda one: [every(one)[0]._replace(gain=-lacks)])
+    assert (_next(at, set()) is not None) is tried
+
+
 def test_what_a_candidate_brings_is_the_evidence_of_the_set_with_it() -> None:
     """Where the fit stands: not settled, its width the best of the grid."""
     at = begun(bench(wave(45.5)))

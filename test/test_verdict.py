@@ -64,7 +64,7 @@ def cause(
     effect = EFFECTS[name]
     values = {q.name: max(q.low, min(q.high, 1.0)) for q in effect.quantities}
     coefficients, nonlinear = effect.from_physical(values)
-    covariance = np.diag(np.full(effect.size, 1e-4))
+    covariance = np.diag((0.01 * coefficients) ** 2)
     odds = {one: -0.1 * place for place, one in enumerate((name, *alike))} | {"": none}
     standing = Standing(odds, frozenset(EFFECTS), amplitude if own is None else own, 0.01 * ARCSEC)
     return Cause(effect, nonlinear, coefficients, covariance, amplitude, standing, 0.4, 0.3, 0.5)
@@ -341,6 +341,19 @@ def test_causes_that_predict_nothing_are_doubted() -> None:
     assert "(5.20 against 5.00 arcsec)" in text
     for made in (diagnosis(rms=worse), diagnosis(cause("hysteresis"))):
         assert "predicted" not in sentence(Answer(made))
+
+
+def test_causes_that_undo_each_other_as_the_model_runs_are_doubted() -> None:
+    """What runs is then the gear with its parameters alone, though the fit itself leaves only noise."""
+    sizes = {"nominal": 20.0, "refit": 14.0, "named": 219.7, "extended": 219.7, "offline": 4.3, "live": 219.0}
+    noise = {"noise": 4.2, "noise_low": 4.1, "noise_high": 4.3}
+    ran = Rms(**{name: ARCSEC * value for name, value in (sizes | noise).items()})
+    alone = dataclasses.replace(ran, named=14.1 * ARCSEC, extended=14.1 * ARCSEC, live=14.2 * ARCSEC)
+    rms = ran.running(alone)
+    assert rms.extended == alone.extended
+    assert rms.offline == ran.offline
+    text = sentence(Answer(diagnosis(cause("hysteresis"), rms=rms)))
+    assert "(219.70 against 14.00 arcsec)" in text
 
 
 def test_the_lines_name_gain_and_what_was_not_testable() -> None:

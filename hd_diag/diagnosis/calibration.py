@@ -16,6 +16,10 @@ PRESENT = math.log(0.02)
 LARGER = math.log(0.05)
 """The same of a remainder half a decade larger than usual, and of each further half: it needs no cause."""
 
+LARGER_LINE = math.log(0.5)
+"""The same of a line of the input's turn: joints in the field have 0.5 to 45 arcsec at twice the input,
+half as many with each half decade."""
+
 UNKNOWN = math.log(0.02)
 """The same of a shape without a known cause."""
 

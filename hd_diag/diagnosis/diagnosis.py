@@ -127,7 +127,8 @@ class Diagnosis:
     @property
     def undecided(self) -> dict[str, str]:
         """Effects that are neither found nor absent, and why."""
-        of_hints = {name: NOT_PROVED for cause in self.hints for name in cause.alike}
+        doubted = [cause for cause in (self.found.causes if self.found else ()) if self.doubt(cause)]
+        of_hints = {name: NOT_PROVED for cause in doubted for name in cause.alike}
         of_classes = {
             name: f"this record cannot tell it from {words(cause.alike[0])}"
             for cause in self.causes

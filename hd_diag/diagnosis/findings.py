@@ -9,7 +9,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.blocks import blocks
-from hd_diag.diagnosis.noise import bounds
+from hd_diag.diagnosis.noise import bounds, numbered
 from hd_diag.diagnosis.record import Record, encoder_bits
 from hd_diag.diagnosis.regression import centered
 
@@ -102,20 +102,20 @@ def declared(role: str, unit: str) -> str:
 
 
 def _usual_slope(record: Record) -> float:
-    """Output over input: median of short stretches weighted by their travel; steps do not affect it.
+    """Output over input: median of regressions of short stretches, weighted by their travel.
 
-    Stretches are no longer than half a usual run; nan where nothing moves within a run.
+    Steps do not affect it, nor does an output that is held between its own samples. Stretches are no longer
+    than half a usual run; nan where nothing moves within one.
     """
     usual_run = int(np.median(np.bincount(record.run)[record.run]))
-    lag = max(min(record.size // 400, usual_run // 2), 1)
-    same = record.run[lag:] == record.run[:-lag]
-    angle, output = (
-        (column[lag:] - column[:-lag])[same][::lag] for column in (record.input_angle, record.output_angle)
-    )
-    moved = np.abs(angle) > 1e-9
+    length = max(min(record.size // 400, usual_run // 2), 1) + 1
+    number = numbered((np.diff(record.run) != 0) | (np.diff(np.arange(record.size) // length) != 0))
+    angle, output = (centered(column, number) for column in (record.input_angle, record.output_angle))
+    square, product = (np.bincount(number, angle * other) for other in (angle, output))
+    moved = square > 1e-18 * length
     if not moved.any():
         return math.nan
-    slope, way = output[moved] / angle[moved], np.abs(angle[moved])
+    slope, way = product[moved] / square[moved], np.sqrt(square[moved])
     order = np.argsort(slope)
     half = np.searchsorted(np.cumsum(way[order]), 0.5 * way.sum())
     return float(slope[order][min(int(half), order.size - 1)])

@@ -35,6 +35,11 @@ Rows = npt.NDArray[np.bool_]
 _HELD_OUT = 4  # every fourth run, or stretch of a single run, is held out
 _STRETCHES = 12
 _SLICE = 1.0  # length of a block of the bootstrap [s]
+_TORQUES, _RARE, _KNOWN = (
+    16,
+    0.005,
+    0.9,
+)  # classes of torque; share that makes one known; held-out rows in those
 _LEAST_FITTED, _LEAST_UNSEEN = 100, 25  # rows: a fit has some thirty columns
 
 
@@ -136,7 +141,8 @@ def held_out(record: Record, good: Rows | None = None) -> tuple[Rows, str]:
     """Rows that no fit sees, shape (n,), and in words which: whole recordings or runs, or stretches.
 
     Never the last: a slow drift is foretold from what comes before and after. Some of the rows that are
-    `good` for a fit (n,) are among them, and most are not; all are where it is not given.
+    `good` for a fit (n,) are among them, and most are not; all are where it is not given. Other rows have
+    their torques, too: no model foretells what a joint does under torques that nobody has shown it.
 
     Raises
     ------
@@ -144,13 +150,25 @@ def held_out(record: Record, good: Rows | None = None) -> tuple[Rows, str]:
         Where there are too few of these.
     """
     good = np.ones(record.size, bool) if good is None else good
-    for rows, which in _divisions(record, good):
-        if np.count_nonzero(good & rows) >= _LEAST_UNSEEN and np.count_nonzero(good & ~rows) >= _LEAST_FITTED:
-            return rows, which
+    enough = [
+        (rows, which)
+        for rows, which in _divisions(record, good)
+        if np.count_nonzero(good & rows) >= _LEAST_UNSEEN and np.count_nonzero(good & ~rows) >= _LEAST_FITTED
+    ]
+    if enough:
+        known = [_known_torques(record.torque, good & rows, good & ~rows) for rows, _ in enough]
+        return enough[next((n for n, share in enumerate(known) if share >= _KNOWN), int(np.argmax(known)))]
     raise RecordError(
         f"too little motion: of {record.size} samples {np.count_nonzero(good)} are of a joint that moves, in "
         f"runs of more than {ORDER} samples; at least {_LEAST_FITTED + _LEAST_UNSEEN} are needed"
     )
+
+
+def _known_torques(torque: Floats, unseen: Rows, seen: Rows) -> float:
+    """Share of rows that are not seen whose torque is one of those seen, by a histogram."""
+    edges = np.linspace(float(torque.min()), float(torque.max()) + 1e-9, _TORQUES + 1)
+    there, known = (np.histogram(torque[rows], edges)[0] for rows in (unseen, seen))
+    return float(there[known >= _RARE * known.sum()].sum() / max(int(there.sum()), 1))
 
 
 def _divisions(record: Record, good: Rows) -> Iterator[tuple[Rows, str]]:

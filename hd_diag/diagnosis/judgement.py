@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from hd_diag.diagnosis.accuracy import WHOLE_TURN, Accuracy, accuracy
-from hd_diag.diagnosis.calibration import ANOTHER, MISFIT, PLAIN, TWO_SIDED
+from hd_diag.diagnosis.calibration import ANOTHER, CERTAIN_SIZE, MISFIT, PLAIN, TWO_SIDED
 from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.evidence.kept_parameters import HELD
 from hd_diag.diagnosis.evidence.solution import Cause
@@ -28,12 +28,26 @@ Beside = Literal["within", "near", "beyond", "open"]
 """A value beside its limit: under it, over it, too near to it to tell which, or unknown."""
 
 
-_USUAL_LOOP = 30.0 * ARCSEC  # half of the arcminute between both ways that catalogues allow
+_USUAL = {
+    "hysteresis": 30.0 * ARCSEC,  # half of the arcminute between both ways that catalogues allow
+    "input_encoder_eccentricity": 600.0 * ARCSEC,  # at the input: a resolver's data sheet allows 10 arcmin
+    "output_encoder_eccentricity": 10.0 * ARCSEC,  # a disc of 100 mm that is mounted to 2.5 um
+    "output_runout": 10.0 * ARCSEC,
+}
+"""Largest values that a new joint may have; of waves those of the first."""
 
 
 def is_usual(cause: Cause) -> bool:
-    """Whether a new gear may have it as large: a hysteresis within what catalogues call usual."""
-    return cause.effect.name == "hysteresis" and float(np.sum(np.abs(cause.coefficients))) <= _USUAL_LOOP
+    """Whether a new joint may have it as large: all but what is beyond a usual size for certain."""
+    limit = _USUAL.get(cause.effect.name)
+    if limit is None:
+        return False
+    own = cause.coefficients[:2]
+    norm = 1 if cause.effect.name == "hysteresis" else 2  # both parts of a loop, or cosine and sine
+    value = float(np.linalg.norm(own, norm))
+    way = np.sign(own) if norm == 1 else own / max(value, 1e-300)
+    spread = math.sqrt(max(float(way @ cause.covariance[: own.size, : own.size] @ way), 0.0))
+    return value - CERTAIN_SIZE * spread <= limit
 
 
 class Limited(NamedTuple):

@@ -15,6 +15,7 @@ from hd_diag.diagnosis.outliers import outliers, torque_outliers
 from hd_diag.diagnosis.smoothing import deviation, rate, smooth
 from hd_diag.diagnosis.stamps import UNTOLD, Stamps, by_clock, usual_step
 from hd_diag.diagnosis.torque_smoothing import SmoothedTorque, smoothed_torque
+from hd_diag.formatting import words
 from hd_diag.streams.no_torque import no_torque
 
 # Columns of one length by name; None for those that were not recorded.
@@ -212,6 +213,7 @@ def prepare(
     if dropped > 0.5 * usable.size:
         raise RecordError(
             f"{dropped} of {usable.size} samples are not finite or their stamps contradict each other"
+            f"{_emptiest(columns)}"
         )
     columns |= {"bag": bag, "reported_speed": reported_speed}
     columns = _kept(columns, usable)
@@ -257,6 +259,13 @@ def prepare(
         stamps=stamps,
         no_torque=unmeasured,
     )
+
+
+def _emptiest(columns: Columns) -> str:
+    """Which column has most values that are not finite, in words; empty where none has any."""
+    count = {name: int(np.sum(np.isnan(one))) for name, one in columns.items() if one is not None}
+    name = max(count, key=lambda one: count[one])
+    return f": {words(name)} has {count[name]} without a value" if count[name] else ""
 
 
 def _check_whole(segment: Integers) -> None:

@@ -28,6 +28,11 @@ class Harmonic(Effect):
     angle: str
     orders: tuple[float, ...] = (1.0,)
 
+    def sensible(self, coefficients: Floats, nonlinear: Values) -> bool:
+        """Whether the first order's wave is the greatest: a gear has waves of its own at the others."""
+        size = np.hypot(coefficients[::2], coefficients[1::2])
+        return super().sensible(coefficients, nonlinear) and bool(size[0] >= size.max())
+
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Cosine and sine of every order; see :meth:`Effect.columns`."""
         angle = getattr(signals, self.angle)

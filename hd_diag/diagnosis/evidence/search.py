@@ -314,6 +314,8 @@ def _exchanged(now: Set, known: Instead, left: Left) -> tuple[Set | None, Instea
             instead[effect.name] = known[effect.name]
             continue
         without = now.without(effect.name).settled()
+        if without.value > now.value - _HOPELESS:  # the others may have moved to make room for it
+            without = without.polished()
         trials, itself = [without], _kind((effect, nonlinear))
         ranked = candidates(without)
         own = max((one.gain for one in ranked if one.name == effect.name), default=math.inf)

@@ -231,7 +231,8 @@ def _group(fit: LinearisedFit, name: str, item: Item) -> Columns:
     effect, _ = item
     white = fit.white(*item)
     if effect.standard:
-        return name, white, np.ones(white.shape[1]), calibration.LARGER_BY, calibration.LARGER
+        larger = calibration.LARGER_LINE if effect in ORDERS else calibration.LARGER
+        return name, white, np.ones(white.shape[1]), calibration.LARGER_BY, larger
     usual = np.full(white.shape[1], _WANDERING * float(effect.usual[0]))
     usual[: effect.size] = effect.usual[: white.shape[1]]
     return name, white, usual, calibration.SIZES, 0.0

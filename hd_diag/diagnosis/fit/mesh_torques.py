@@ -150,7 +150,7 @@ class MeshTorques:
         return self._under(self.more)
 
     def _under(self, more: Floats) -> Floats:
-        return np.nan_to_num(self._whole.contact.under_more_torque(more))
+        return np.nan_to_num(self.model.error(self.parameters, more) - self._whole.predicted)
 
 
 def mesh_torques(

@@ -100,6 +100,10 @@ class RecordModel:
             return self.at(parameters).derivatives
         return self._along(parameters, self.record.torque + shift)[1]
 
+    def error(self, parameters: Floats, shift: Floats) -> Floats:
+        """Transmission error at all rows (n,) [rad] under a torque more by a shift (n,) [N m]."""
+        return self._along(parameters, self.record.torque + shift)[0]
+
     def secants(self, parameters: Floats, shift: Floats, reach: Floats) -> Floats:
         """As `derivatives`, on average over steps to both sides: columns of `reach` (p, p), in their units.
 
