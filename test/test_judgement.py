@@ -172,7 +172,8 @@ def loop(size: float) -> Cause:
     """A hysteresis of two elements [arcsec]."""
     made = cause("hysteresis")
     elements = np.full(made.coefficients.size, size / made.coefficients.size)
-    return dataclasses.replace(made, coefficients=ARCSEC * elements)
+    exact = np.zeros_like(made.covariance)
+    return dataclasses.replace(made, coefficients=ARCSEC * elements, covariance=exact)
 
 
 SURE = r"\(more than 99\.9 % sure\)"
@@ -265,7 +266,8 @@ def test_waves_of_a_new_joint_are_usual(name: str, limit: float) -> None:
         made = cause(name)
         values = np.zeros(made.coefficients.size)
         values[0] = times * max(limit, 1.0) * ARCSEC
-        told = as_json(diagnosis(dataclasses.replace(made, coefficients=values)), "joint_1")
+        exact = dataclasses.replace(made, coefficients=values, covariance=np.zeros_like(made.covariance))
+        told = as_json(diagnosis(exact), "joint_1")
         assert told["causes"][0]["usual"] is (times < 1.0 and limit > 0.0)
 
 

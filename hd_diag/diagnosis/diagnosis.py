@@ -236,7 +236,7 @@ def diagnose(
     without = settle(fit.beside(()), best.motor)
     rms, gain = measured_gain(record, test, which, without, measured, every, rng)
     alone = Solution(without, given=best.motor)
-    if rms.extended > rms.refit:  # causes that undo each other in a fit do not as the model runs
+    if rms.foretellable > rms.refit:  # causes that undo each other in a fit do not as the model runs
         of_alone, gain = measured_gain(record, test, which, without, alone, every.beside(()), rng)
         rms = rms.running(of_alone)
     work.tell(0.8, "using all data")

@@ -83,8 +83,12 @@ class Rms:
 
         Its signals are late where it runs, which speaks against no cause; as fitted it has no order table.
         """
-        pairs = ((self.extended, self.wandering), (self.offline, self.wandering_offline))
-        return min(math.sqrt(max(whole**2 - wandering**2, 0.0)) for whole, wandering in pairs)
+        return min(self.foretellable, math.sqrt(max(self.offline**2 - self.wandering_offline**2, 0.0)))
+
+    @property
+    def foretellable(self) -> float:
+        """Residual of the model as it runs, less the wandering of causes."""
+        return math.sqrt(max(self.extended**2 - self.wandering**2, 0.0))
 
     @property
     def hides_lines(self) -> bool:
