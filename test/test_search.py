@@ -15,6 +15,7 @@ from hd_diag.diagnosis.calibration import MISFIT
 from hd_diag.diagnosis.diagnosis import _NO_CAUSES, _described
 from hd_diag.diagnosis.evidence.naming import standings
 from hd_diag.diagnosis.evidence.search import (
+    _exchanged,
     _kinds,
     _next,
     _with_torque_zero,
@@ -23,6 +24,7 @@ from hd_diag.diagnosis.evidence.search import (
     restarted,
     search,
 )
+from hd_diag.diagnosis.evidence.sets import Set
 from hd_diag.diagnosis.evidence.solution import Solution, motor_deviations, parameters_of, solution
 from hd_diag.diagnosis.evidence.unexplained import with_table
 from hd_diag.diagnosis.evidence.unmodelled_terms import UNMODELLED_TERMS
@@ -265,6 +267,23 @@ def test_a_set_that_was_left_for_another_is_not_gone_back_to() -> None:
     assert found.names == {"circular_spline_form"}
     again = _next(at, {_kinds(found.causes)})
     assert again is None or _kinds(again.causes) != _kinds(found.causes)
+
+
+def test_without_its_last_cause_a_set_is_worth_what_it_was_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The others may have moved to make room, and steps from there may not lead back."""
+    at = begun(bench(OVAL))
+    found = _next(at, set())
+    assert found is not None
+    assert found.before is not None
+    assert found.before.names == at.names
+    astray = dataclasses.replace(at, value=found.value - 1e6)
+    monkeypatch.setattr(Set, "without", lambda now, name: astray)
+    monkeypatch.setattr(Set, "settled", lambda now, rounds=0: now)
+    monkeypatch.setattr(Set, "by_own_noise", lambda now: now.value)
+    monkeypatch.setattr("hd_diag.diagnosis.evidence.search.candidates", lambda one: [])
+    for before, odds in ((found.before, at.on(found).value - found.value), (None, -1e6)):
+        _, instead = _exchanged(dataclasses.replace(found, before=before), {}, set())
+        assert instead == {"circular_spline_form": {"": pytest.approx(odds, abs=1e-6)}}
 
 
 @pytest.mark.parametrize(("lacks", "tried"), [(1.0, True), (3.0, False)])

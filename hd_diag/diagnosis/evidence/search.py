@@ -314,10 +314,11 @@ def _exchanged(now: Set, known: Instead, left: Left) -> tuple[Set | None, Instea
             instead[effect.name] = known[effect.name]
             continue
         without = now.without(effect.name).settled()
-        if without.value > now.value - _HOPELESS:  # the others may have moved to make room for it
-            without = without.polished()
         trials, itself = [without], _kind((effect, nonlinear))
-        ranked = candidates(without)
+        if now.before is not None and now.before.names == without.names:
+            trials.append(now.before.on(now))  # the others may have moved to make room for it
+        # What is alike on any record is weighed by its name alone.
+        ranked = [one for one in candidates(without) if one.name not in effect.always_confused]
         own = max((one.gain for one in ranked if one.name == effect.name), default=math.inf)
         # What settling will bring more, it brings the cause itself as well.
         least = min(now.value - without.value, own) - _CLOSE
@@ -329,7 +330,10 @@ def _exchanged(now: Set, known: Instead, left: Left) -> tuple[Set | None, Instea
         best = max(trials, key=lambda one: one.value)
         if best.value > now.value and _kinds(best.causes) not in left:
             return best, {}
-        odds = {"".join(one.names - without.names): one.value - now.value for one in trials}
+        odds = dict[str, float]()
+        for trial in trials:
+            name = "".join(trial.names - without.names)
+            odds[name] = max(trial.value - now.value, odds.get(name, -math.inf))
         instead[effect.name] = odds | {"": max(odds[""], without.by_own_noise() - now.by_own_noise())}
     return None, instead
 
@@ -420,7 +424,7 @@ def _next(now: Set, left: Left) -> Set | None:
         best = ranked[0].gain
         near = [one for one in ranked[:_TRIED] if one.gain > min(_NEAR * best, best - _CLOSE)]
         if (found := _best_of(near, now)) is not None:
-            return found
+            return replace(found, before=replace(now, before=None))
         ranked = [one for one in ranked if one not in near]
     return None
 

@@ -72,6 +72,8 @@ class Set:
         Log evidence with the priors of presence.
     rounds : int
         Of settling, at most.
+    before : Set, optional
+        To which its last cause was added.
     """
 
     fit: LinearisedFit
@@ -81,6 +83,7 @@ class Set:
     widths: Widths = field(default_factory=dict)
     value: float = -np.inf
     rounds: int = 3
+    before: Set | None = None
 
     @property
     def given(self) -> Chosen:
