@@ -205,7 +205,13 @@ def test_what_remembers_goes_on_from_a_recording_to_one_that_follows_at_once(
     [
         ("input", slice(MINIMUM_SAMPLES - 1, None), np.nan, r"^too short: 199 usable samples, "),
         ("input", slice(None), 0.02, r"^no motion: the input turns by 2\.4 rad, at "),
-        ("output", slice(2010), np.nan, "2010 of 4000 samples are not finite or their stamps contradict"),
+        (
+            "output",
+            slice(2010),
+            np.nan,
+            "2010 of 4000 samples are not finite or their stamps contradict each other: output angle has "
+            "2010 without a value",
+        ),
     ],
 )
 def test_records_that_cannot_be_judged(

@@ -208,6 +208,18 @@ def test_what_is_held_out_is_foretold_from_both_sides(runs: int, bags: int) -> N
     assert which.startswith(f"{np.unique(whole[test]).size} of {whole.max() + 1} ")
 
 
+@pytest.mark.parametrize(("own", "said"), [(True, "stretches"), (False, "runs")])
+def test_what_is_held_out_has_torques_that_other_rows_show(own: bool, said: str) -> None:
+    """On a bench each stroke may have a load of its own, and no model foretells one that it never saw."""
+    record = swinging(40.0)
+    run = np.arange(record.size) * 8 // record.size
+    load = np.where(np.isin(run, (2, 6)), 40.0, -20.0) if own else 10.0 * (np.arange(record.size) % 3 - 1.0)
+    extent = record.extent._replace(runs=8)
+    test, which = held_out(dataclasses.replace(record, run=run, torque=load, extent=extent))
+    assert said in which
+    assert set(np.unique(load[test])) <= set(np.unique(load[~test]))
+
+
 def test_a_torque_of_another_joint_is_left_out() -> None:
     record = swinging()
     test, _ = held_out(record)

@@ -41,6 +41,7 @@ from hd_diag.formatting import words
 _SEARCHED_ROWS = 6_000  # that a search gets: more cost time, and show what is larger than noise no better
 _TESTED = 0.9  # of the time that a diagnosis may take, by which what could have been shown is tested
 _KEPT = 0.7  # the same, for which parameters are as configured
+_WORSE = 1.02  # times what the parameters alone leave, from which a model is worse as it runs
 _NO_LAWS = ("no law was found", "no law was found")
 _BY_TORQUE = ("friction", "torsion")  # kinds of causes that a motor's own friction and constant imitate
 _BY_MOTOR = "a motor's own friction and constant imitate it: measure the torque at the joint"
@@ -235,8 +236,9 @@ def diagnose(
     work.tell(0.7, "measuring the gain")
     without = settle(fit.beside(()), best.motor)
     rms, gain = measured_gain(record, test, which, without, measured, every, rng)
-    alone = Solution(without, given=best.motor)
-    if rms.foretellable > rms.refit:  # causes that undo each other in a fit do not as the model runs
+    alone, wanders = Solution(without, given=best.motor), any(one.wanders(at) for one, at in measured.chosen)
+    # Causes that undo each other in a fit do not as the model runs.
+    if (rms.foretellable if wanders else rms.extended) > _WORSE * rms.refit:
         of_alone, gain = measured_gain(record, test, which, without, alone, every.beside(()), rng)
         rms = rms.running(of_alone)
     work.tell(0.8, "using all data")
@@ -247,7 +249,6 @@ def diagnose(
     drive = fit_parameters.drive_of(parameters, configured)
     work.tell(0.9, "looking at what no cause explains")
     whole = replace(whole, table=measured.table)
-    wanders = any(effect.wanders(nonlinear) for effect, nonlinear in whole.chosen)
     left = _described(record, unexplained(whole), rms, wanders)
     result = Diagnosis(
         record,

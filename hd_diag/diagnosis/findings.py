@@ -104,13 +104,15 @@ def declared(role: str, unit: str) -> str:
 def _usual_slope(record: Record) -> float:
     """Output over input: median of regressions of short stretches, weighted by their travel.
 
-    Steps do not affect it, nor does an output that is held between its own samples. Stretches are no longer
-    than half a usual run; nan where nothing moves within one.
+    Steps do not affect it, nor does an output that is held between its own samples: rows that repeat it say
+    nothing. Stretches are no longer than half a usual run; nan where nothing moves within one.
     """
     usual_run = int(np.median(np.bincount(record.run)[record.run]))
     length = max(min(record.size // 400, usual_run // 2), 1) + 1
-    number = numbered((np.diff(record.run) != 0) | (np.diff(np.arange(record.size) // length) != 0))
-    angle, output = (centered(column, number) for column in (record.input_angle, record.output_angle))
+    fresh = np.append(True, (np.diff(record.output_angle) != 0.0) | (np.diff(record.run) != 0))
+    run, place = record.run[fresh], np.arange(record.size)[fresh]
+    number = numbered((np.diff(run) != 0) | (np.diff(place // length) != 0))
+    angle, output = (centered(one[fresh], number) for one in (record.input_angle, record.output_angle))
     square, product = (np.bincount(number, angle * other) for other in (angle, output))
     moved = square > 1e-18 * length
     if not moved.any():

@@ -35,11 +35,8 @@ Rows = npt.NDArray[np.bool_]
 _HELD_OUT = 4  # every fourth run, or stretch of a single run, is held out
 _STRETCHES = 12
 _SLICE = 1.0  # length of a block of the bootstrap [s]
-_TORQUES, _RARE, _KNOWN = (
-    16,
-    0.005,
-    0.9,
-)  # classes of torque; share that makes one known; held-out rows in those
+_TORQUES, _RARE = 16, 0.02  # classes of torque; share of the rows that makes one known
+_KNOWN = 0.9  # of the held-out rows, whose torque is known from others
 _LEAST_FITTED, _LEAST_UNSEEN = 100, 25  # rows: a fit has some thirty columns
 
 
