@@ -301,3 +301,30 @@ def test_counts_of_an_encoder_are_left_to_a_finding(given: dict[str, np.ndarray]
 def test_more_counts_than_any_encoder_has_are_refused(given: dict[str, np.ndarray]) -> None:
     with pytest.raises(RecordError, match="no drive's faster than 10000 rad/s"):
         prepared(given | {"input": given["input"] * 2.0**30 / TURN})
+
+
+def test_an_output_that_is_held_between_its_own_samples_counts_once() -> None:
+    """Its topic comes at a quarter of the input's rate, and every row repeats the last that came."""
+    given = columns(seconds=40.0)
+    rows = np.arange(given["time"].size)
+    whole = prepared(given)
+    slow = given | {"output": given["output"][4 * (rows // 4)]}
+    found = prepared(slow)
+    assert found.size == pytest.approx(0.25 * whole.size, abs=10)
+    assert found.dropped == pytest.approx(0.75 * whole.size, abs=10)
+    assert_allclose(found.output_angle, given["output"][::4][: found.size], atol=1e-4)
+
+
+@pytest.mark.parametrize("counts", [2**12, 2**16, 2**20])
+def test_an_encoder_that_counts_is_not_held(counts: int) -> None:
+    given = columns(seconds=40.0)
+    step = 2.0 * np.pi / counts
+    found = prepared(given | {"output": step * np.rint(given["output"] / step)})
+    assert found.dropped == 0
+
+
+def test_an_output_that_is_stuck_for_a_while_is_not_held() -> None:
+    given = columns(seconds=40.0)
+    output = given["output"].copy()
+    output[2000:3500] = output[2000]
+    assert prepared(given | {"output": output}).dropped == 0

@@ -38,6 +38,7 @@ GAP_STEPS = 5.5
 
 _SPEED_WINDOW = 0.03  # [s]
 _HEAT_WINDOW = 2.0  # [s]
+_SEVERAL, _HELD_SHARE = 3.0, 0.4  # counts of a move that must show; share of repeats: half, at half the rate
 _LONG_GAP_STEPS = 200.0  # a step this many times the usual one is more than a cause remembers through
 _WRAP_SLACK = 0.1  # what noise and outliers may add to the range of a wrapped angle [rad]
 
@@ -221,6 +222,12 @@ def prepare(
     segment = segments(columns["time"], bag, GAP_STEPS)
     _check_whole(segment)
     angle = _with_turns(columns["input_angle"], output, bag, segment, ratio)
+    if (held := _held(angle / ratio, output, segment)).any():
+        columns |= {"input_angle": angle, "output_angle": output}
+        columns, dropped = _kept(columns, ~held), dropped + int(np.count_nonzero(held))
+        bag, angle, output = (columns[name] for name in ("bag", "input_angle", "output_angle"))
+        segment = segments(columns["time"], bag, GAP_STEPS)
+        _check_whole(segment)
     keep = ~outliers(output - angle / ratio, bag, together=2)
     if columns["torque"] is not None:
         keep &= ~torque_outliers(columns["torque"], bag)
@@ -266,6 +273,25 @@ def _emptiest(columns: Columns) -> str:
     count = {name: int(np.sum(np.isnan(one))) for name, one in columns.items() if one is not None}
     name = max(count, key=lambda one: count[one])
     return f": {words(name)} has {count[name]} without a value" if count[name] else ""
+
+
+def _held(input_angle: Floats, output: Floats, segment: Integers) -> Rows:
+    """Rows (n,) that repeat an output which is slower than the input, at the output's angles [rad].
+
+    An encoder that counts repeats itself too, but never where it should move by several counts. At rest rows
+    are left out at the same rate.
+    """
+    inside = np.diff(segment) == 0
+    change, expected = np.abs(np.diff(output)), np.abs(np.diff(input_angle))
+    repeated = inside & (change == 0.0)
+    least = float(change[change > 0.0].min(initial=math.inf))
+    fast = inside & (expected > _SEVERAL * least)
+    if np.count_nonzero(repeated & fast) <= _HELD_SHARE * np.count_nonzero(fast):
+        return np.zeros(output.size, bool)
+    row = np.arange(output.size)
+    since = row - np.maximum.accumulate(np.where(np.append(False, repeated), 0, row))
+    every = 1 + int(np.median(since[:-1][fast & ~repeated]))
+    return np.asarray(since % every != 0)
 
 
 def _check_whole(segment: Integers) -> None:
