@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
@@ -124,8 +125,9 @@ def _least_backlash(drive: Drive) -> tuple[Floats, Floats, Any]:
     return angle[near] + _TURNED, least[near], plus[near] == least[near]
 
 
-def _curve(axes: Axes, points: Complexes, color: str, **style: Any) -> None:
-    axes.plot(points.real, points.imag, color=color, **style)
+def _curve(axes: Axes, points: npt.ArrayLike, color: str, **style: Any) -> None:
+    places: Complexes = np.asarray(points, np.complex128)
+    axes.plot(places.real, places.imag, color=color, **style)
 
 
 def _arrow(axes: Axes, start: complex, end: complex, colour: str) -> None:
