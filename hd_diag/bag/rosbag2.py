@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterable, Mapping, Sequence
-from enum import Enum
 from pathlib import Path
 from typing import Any
 
 import yaml
 from mcap.records import Statistics
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
 from hd_diag.bag.mcap_file import Stream, Written
 
@@ -48,38 +48,25 @@ def _listed_offers(text: str) -> Any:
 
 def dump_offers(offers: Sequence[Qos]) -> str:
     """Profiles as the YAML text of a channel's ``offered_qos_profiles``; empty text for none."""
-    plain = [{name: _plain(value) for name, value in offer._asdict().items()} for offer in offers]
-    return dump_yaml(plain).rstrip("\n") if plain else ""
-
-
-def _plain(value: Any) -> Any:
-    """A field of a profile as YAML has it."""
-    if isinstance(value, QosTime):
-        return value._asdict()
-    return value.name.lower() if isinstance(value, Enum) else value
+    return dump_yaml(dump_qos_v9(list(offers))).rstrip("\n") if offers else ""
 
 
 def parse_offers(text: str) -> list[Qos]:
     """Profiles from a channel's ``offered_qos_profiles``, of any metadata version; none where unreadable."""
     try:
-        return [
-            Qos(**{name: _field(usual, offer[name]) for name, usual in RELIABLE._asdict().items()})
-            for offer in load_yaml(text) or []
-        ]
+        return [_plain(offer) for offer in parse_qos(load_yaml(text) or [])]
     except UNREADABLE:
         return []
 
 
-def _field(usual: Any, given: Any) -> Any:
-    """A field of the kind that is usual, where a hostile profile may hold anything."""
-    if isinstance(usual, QosTime):
-        return QosTime(int(given["sec"]), int(given["nsec"]))
-    if not isinstance(usual, Enum):
-        return type(usual)(given)
-    try:
-        return type(usual)(given) if isinstance(given, int) else type(usual)[given.upper()]
-    except (KeyError, ValueError):
-        return type(usual)["UNKNOWN"]
+def _plain(offer: Qos) -> Qos:
+    """The profile with numbers where a hostile one may hold anything."""
+    pairs = offer._asdict().items()
+    plain: dict[str, Any] = {
+        name: QosTime(*map(int, time)) for name, time in pairs if isinstance(time, QosTime)
+    }
+    plain["avoid_ros_namespace_conventions"] = bool(offer.avoid_ros_namespace_conventions)
+    return offer._replace(depth=int(offer.depth), **plain)
 
 
 def written(files: Iterable[Written], stream: Stream) -> int:
