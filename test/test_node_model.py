@@ -18,6 +18,7 @@ from running import running
 from sensor_msgs.msg import JointState
 
 from hd_diag.config.configuration import Config, ConfigError
+from hd_diag.drive import transmission_error
 from hd_diag.replay.replay import replay
 from hd_diag.ros.parameter_server import ParameterServer
 
@@ -110,3 +111,28 @@ def test_a_disk_that_does_not_answer_holds_up_no_samples(
     assert applied == [server.config]
     assert server.config.joints[0].model is not None
     node.destroy_node()
+
+
+def test_a_tilt_that_is_set_acts_on_the_next_sample(tmp_path: Path) -> None:
+    """On a cup in sections; one that no cup can have, or on one section, is refused and changes nothing."""
+    width = {"joint_1__face_width": 0.011, "joint_1__cup_length": 0.04, "joint_1__sections": 3}
+    angle, torque = np.linspace(0.1, 2.0, 20), np.full(20, 6.0)
+    with running(tmp_path, parameters(diagnostics_rate=20.0, **width)) as rig:
+        publisher = rig.publisher()
+        (errors,) = rig.hear({"hd_diag/transmission_error": JointState}).values()
+        stamps = itertools.count(START, MS)
+        for number, tilt in enumerate(
+            ({}, {"joint_1__tilt__magnitude": 1e-3, "joint_1__tilt__direction": 0.7})
+        ):
+            if tilt:
+                assert "strikes the circular spline" in rig.set(joint_1__tilt__magnitude=0.09)[0].reason
+                assert all(answer.successful for answer in rig.set(**tilt))
+            for own, load in zip(angle, torque, strict=True):
+                publisher.publish(sample(next(stamps), own, own / RATIO, load))
+            rig.until(lambda n=number: len(errors) == 20 * (n + 1), "prediction of every message")
+            (joint,) = config(**width, **tilt).joints
+            expected = transmission_error(joint.drive, angle, torque)
+            found = [m.position[0] for m in errors[-20:]]
+            assert_allclose(found, expected, rtol=0.0, atol=2e-7)  # by a map, or exact
+        assert "give face_width" in rig.set(joint_1__sections=1)[0].reason
+        assert rig.process.end() == 0
