@@ -43,11 +43,11 @@ def test_a_wrong_ratio_is_found_with_its_size(record: Record, true: float) -> No
 
 
 @pytest.mark.parametrize("held", [4, 10])
-def test_an_output_that_is_held_between_its_own_samples_has_its_ratio(record: Record, held: int) -> None:
+def test_an_output_that_is_held_between_its_own_samples_has_its_ratio(held: int) -> None:
     """It comes at a fraction of the input's rate, and every row repeats the last one that came."""
-    last = held * (np.arange(record.size) // held)
-    slow = dataclasses.replace(record, output_angle=record.output_angle[last])
-    assert check_ratio(slow, RATIO) is None
+    given = columns(seconds=100.0)
+    last = held * (np.arange(given["time"].size) // held)
+    assert check_ratio(prepared(given | {"output": given["output"][last]}), RATIO) is None
 
 
 @pytest.mark.parametrize("fraction", [1e-4, -3e-4, 1e-3])

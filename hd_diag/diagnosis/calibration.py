@@ -17,8 +17,8 @@ LARGER = math.log(0.05)
 """The same of a remainder half a decade larger than usual, and of each further half: it needs no cause."""
 
 LARGER_LINE = math.log(0.5)
-"""The same of a line of the input's turn: joints in the field have 0.5 to 45 arcsec at twice the input,
-half as many with each half decade."""
+"""The same of a line of the input's turn. Chosen, half as likely with each half decade: joints in the field
+have 0.5 to 45 arcsec at twice the input."""
 
 UNKNOWN = math.log(0.02)
 """The same of a shape without a known cause."""
@@ -68,6 +68,10 @@ DISAGREEING = 0.1
 MISFIT = 1.3
 """What is left of held-out data, over the noise, from which it is not noise: chosen, beyond the tenth or two
 to which records tell their noise."""
+
+WORSE = 1.02
+"""What a model with causes leaves as it runs, over what the parameters alone leave, from which it is worse:
+chosen, beyond the thousandth or so by which models that are alike differ."""
 
 MORE = 1.15
 """The same for the lower end of its interval, where its upper end is beyond that."""

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.diagnosis.calibration import HINTED, LEAST_SIZE, MISFIT
+from hd_diag.diagnosis.calibration import HINTED, LEAST_SIZE, MISFIT, WORSE
 from hd_diag.diagnosis.detectability import NOT_PROVED, Detectability, testability
 from hd_diag.diagnosis.evidence.kept_parameters import DISPLACEMENTS, Kept, kept_parameters
 from hd_diag.diagnosis.evidence.naming import standings
@@ -41,7 +41,6 @@ from hd_diag.formatting import words
 _SEARCHED_ROWS = 6_000  # that a search gets: more cost time, and show what is larger than noise no better
 _TESTED = 0.9  # of the time that a diagnosis may take, by which what could have been shown is tested
 _KEPT = 0.7  # the same, for which parameters are as configured
-_WORSE = 1.02  # times what the parameters alone leave, from which a model is worse as it runs
 _NO_LAWS = ("no law was found", "no law was found")
 _BY_TORQUE = ("friction", "torsion")  # kinds of causes that a motor's own friction and constant imitate
 _BY_MOTOR = "a motor's own friction and constant imitate it: measure the torque at the joint"
@@ -112,7 +111,7 @@ class Diagnosis:
     def predicting(self) -> bool:
         """Whether held-out rows are predicted better with the causes than without, or as configured."""
         rms = self.rms
-        return rms is None or (math.isnan(rms.discarded) and rms.left < rms.without_causes)
+        return rms is None or rms.with_causes < rms.without_causes
 
     def doubt(self, cause: Cause) -> str:
         """The first reason for which a cause is not named; empty where it is.
@@ -236,9 +235,11 @@ def diagnose(
     work.tell(0.7, "measuring the gain")
     without = settle(fit.beside(()), best.motor)
     rms, gain = measured_gain(record, test, which, without, measured, every, rng)
-    alone, wanders = Solution(without, given=best.motor), any(one.wanders(at) for one, at in measured.chosen)
-    # Causes that undo each other in a fit do not as the model runs.
-    if (rms.foretellable if wanders else rms.extended) > _WORSE * rms.refit:
+    alone: Solution | None = None
+    wanders = any(effect.wanders(nonlinear) for effect, nonlinear in chosen)
+    # Causes that undo each other in a fit do not as the model runs. Wandering does not count against a cause.
+    if (rms.foretellable if wanders else rms.extended) > WORSE * rms.refit:
+        alone = Solution(without, given=best.motor)
         of_alone, gain = measured_gain(record, test, which, without, alone, every.beside(()), rng)
         rms = rms.running(of_alone)
     work.tell(0.8, "using all data")
@@ -260,7 +261,7 @@ def diagnose(
         gain,
         {name: wider[GROUPS[name][0]] * bound for name, bound in kept.physical(configured).items()},
         left,
-        model=extended_model(whole if math.isnan(rms.discarded) else alone, configured, record),
+        model=extended_model(alone or whole, configured, record),
         catalogue=catalogue,
         encoder_zeros=tuple(encoder_zeros(whole).tolist()),
         motor_std=motor_deviations(whole),
@@ -301,9 +302,7 @@ def _described(record: Record, lines: list[Unexplained], rms: Rms, wanders: bool
     if wanders and rms.extended > MISFIT * rms.noise:
         what = "wanders in phase or amplitude, which the fit follows and a model that runs cannot"
         lines = [*lines, Unexplained(0.0, "input", math.sqrt(2.0) * rms.wandering, *_NO_LAWS, what)]
-    elif rms.extended**2 - rms.wandering**2 > (MISFIT * rms.noise) ** 2 and not (
-        rms.misfit.suspected or rms.discarded > 0.0
-    ):
+    elif rms.foretellable > MISFIT * rms.noise and math.isnan(rms.discarded) and not rms.misfit.suspected:
         what = "is left only as the model runs: its signals are late"
         lines = [*lines, Unexplained(0.0, "input", beyond, *_NO_LAWS, what)]
     if lines or not rms.misfit.suspected:

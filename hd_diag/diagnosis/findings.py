@@ -9,7 +9,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.blocks import blocks
-from hd_diag.diagnosis.noise import bounds, numbered
+from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.record import Record, encoder_bits
 from hd_diag.diagnosis.regression import centered
 
@@ -102,22 +102,20 @@ def declared(role: str, unit: str) -> str:
 
 
 def _usual_slope(record: Record) -> float:
-    """Output over input: median of regressions of short stretches, weighted by their travel.
+    """Output over input: median of short stretches weighted by their travel; steps do not affect it.
 
-    Steps do not affect it, nor does an output that is held between its own samples: rows that repeat it say
-    nothing. Stretches are no longer than half a usual run; nan where nothing moves within one.
+    Stretches are no longer than half a usual run; nan where nothing moves within a run.
     """
     usual_run = int(np.median(np.bincount(record.run)[record.run]))
-    length = max(min(record.size // 400, usual_run // 2), 1) + 1
-    fresh = np.append(True, (np.diff(record.output_angle) != 0.0) | (np.diff(record.run) != 0))
-    run, place = record.run[fresh], np.arange(record.size)[fresh]
-    number = numbered((np.diff(run) != 0) | (np.diff(place // length) != 0))
-    angle, output = (centered(one[fresh], number) for one in (record.input_angle, record.output_angle))
-    square, product = (np.bincount(number, angle * other) for other in (angle, output))
-    moved = square > 1e-18 * length
+    lag = max(min(record.size // 400, usual_run // 2), 1)
+    same = record.run[lag:] == record.run[:-lag]
+    angle, output = (
+        (column[lag:] - column[:-lag])[same][::lag] for column in (record.input_angle, record.output_angle)
+    )
+    moved = np.abs(angle) > 1e-9
     if not moved.any():
         return math.nan
-    slope, way = product[moved] / square[moved], np.sqrt(square[moved])
+    slope, way = output[moved] / angle[moved], np.abs(angle[moved])
     order = np.argsort(slope)
     half = np.searchsorted(np.cumsum(way[order]), 0.5 * way.sum())
     return float(slope[order][min(int(half), order.size - 1)])

@@ -88,6 +88,11 @@ class Rms:
         return math.sqrt(max(self.extended**2 - self.wandering**2, 0.0))
 
     @property
+    def with_causes(self) -> float:
+        """What the model with causes leaves: as it ran, where that was discarded."""
+        return self.left if math.isnan(self.discarded) else self.discarded
+
+    @property
     def hides_lines(self) -> bool:
         """Whether more than noise is left at the gear's lines, or nobody knows."""
         return not self.gear < MISFIT

@@ -32,7 +32,7 @@ _USUAL = {
     "hysteresis": 30.0 * ARCSEC,  # half of the arcminute between both ways that catalogues allow
     "input_encoder_eccentricity": 600.0 * ARCSEC,  # at the input: a resolver's data sheet allows 10 arcmin
     "output_encoder_eccentricity": 10.0 * ARCSEC,  # a disc of 100 mm that is mounted to 2.5 um
-    "output_runout": 10.0 * ARCSEC,
+    "output_runout": 10.0 * ARCSEC,  # the same of a flange: no record tells them apart
 }
 """Largest values that a new joint may have; of waves those of the first."""
 

@@ -269,7 +269,7 @@ def prepare(
 
 
 def _emptiest(columns: Columns) -> str:
-    """Which column has most values that are not finite, in words; empty where none has any."""
+    """Which column has most rows without a value, in words; empty where all have values."""
     count = {name: int(np.sum(np.isnan(one))) for name, one in columns.items() if one is not None}
     name = max(count, key=lambda one: count[one])
     return f": {words(name)} has {count[name]} without a value" if count[name] else ""

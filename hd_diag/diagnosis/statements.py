@@ -70,10 +70,9 @@ def _limits(diagnosis: Diagnosis) -> list[str]:
     """What limits the diagnosis: hints that predict nothing, rows that were not used, and the time."""
     rms, record, parts = diagnosis.rms, diagnosis.record, []
     if rms is not None and diagnosis.hints and not diagnosis.predicting:
-        left = (rms.left if math.isnan(rms.discarded) else rms.discarded) / ARCSEC
         parts.append(
             "held-out data are predicted no better with it than without "
-            f"({left:.2f} against {arcsec(rms.without_causes)}): record more"
+            f"({rms.with_causes / ARCSEC:.2f} against {arcsec(rms.without_causes)}): record more"
         )
     if record.size < record.extent.samples:
         samples = f"{record.size} of {record.extent.samples} samples"

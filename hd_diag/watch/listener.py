@@ -45,10 +45,11 @@ class Listener(Node):
 
     def diagnose(self) -> None:
         """Ask the watched nodes for a diagnosis; their answers are shown."""
+        there = dict(self.get_service_names_and_types())
         clients = {each.srv_name: each for each in self.clients}
         self._watch.answers.clear()
         for node in {view.node for view in self._watch.view(0.0)}:
-            if (name := f"{node}/diagnose") in dict(self.get_service_names_and_types()):
+            if (name := f"{node}/diagnose") in there:
                 client = clients.get(name) or self.create_client(Trigger, name)
                 client.call_async(Trigger.Request()).add_done_callback(partial(self._answered, node))
             else:

@@ -365,8 +365,7 @@ def _along_datum(best: Set, rows: int) -> tuple[Set, float]:
     """
     better, reach, times = best, 0.0, rows / best.fit.data.at.size
     for side in (1.0, -1.0):
-        before, known, falling = (0.0, 0.0), False, None
-        fit = best.fit
+        fit, before, known, falling = best.fit, (0.0, 0.0), False, None
         for away in _DATUM_STEPS:
             start = fit.parameters.copy()
             start[DATUM] = best.fit.parameters[DATUM] + side * away

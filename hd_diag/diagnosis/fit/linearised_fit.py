@@ -120,19 +120,20 @@ class LinearisedFit:
 
     def with_noise(self, chosen: Chosen, richer: bool = True) -> LinearisedFit:
         """Whitened by the residual of a model rich enough to leave only noise, or by all that this leaves."""
-        fixed = np.concatenate((self.always(), self.joined(chosen)), axis=1)
-        wide = np.concatenate((fixed, self.flexible()), axis=1) if richer else fixed
-        rest, misfit = self.residual - projection(wide, self.residual), 1.0
+        rest, misfit = self._beyond(chosen, *([self.flexible()] if richer else [])), 1.0
         if richer and self.data.given:
-            left = self.residual - projection(fixed, self.residual)
-            misfit = float(np.std(left) / max(float(np.std(rest)), 1e-300))
+            misfit = float(np.std(self._beyond(chosen)) / max(float(np.std(rest)), 1e-300))
         return replace(self, whiten=self.data.whitening_of(rest), misfit=misfit)
 
     def passed(self) -> LinearisedFit:
         """With noise as passes of its rows measure it, known to all fits of them."""
-        wide = np.concatenate((self.always(), self.flexible()), axis=1)
-        known = self.data.passes(self.residual - projection(wide, self.residual))
+        known = self.data.passes(self._beyond((), self.flexible()))
         return replace(self, data=replace(self.data, known=known))
+
+    def _beyond(self, chosen: Chosen, *more: Floats) -> Floats:
+        """The residual (n,) [rad] beyond what every fit carries, some effects and more columns (n, k)."""
+        wide = np.concatenate((self.always(), self.joined(chosen), *more), axis=1)
+        return np.asarray(self.residual - projection(wide, self.residual))
 
     def flexible(self) -> Floats:
         """Columns by which any cause leaves hardly more than noise, (n, k)."""
