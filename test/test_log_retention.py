@@ -22,8 +22,12 @@ DATE = r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d(-\d+)?"
 
 
 def log(path: Path, messages: int = 3, **options: object) -> LogWriter:
-    """A log of a start, each message of which is over the size of a file."""
-    writer = LogWriter(LogConfig(str(path), compression="none", flush_period=0.0, **options))  # type: ignore[arg-type]
+    """A log of a start, each message of which is over the size of a file.
+
+    Nothing is synced to the disk: a file stays while it is.
+    """
+    config = LogConfig(str(path), compression="none", flush_period=0.0, sync_period=0.0, **options)  # type: ignore[arg-type]
+    writer = LogWriter(config)
     fill(writer, messages)
     return writer
 
@@ -41,7 +45,8 @@ def settled(writer: LogWriter) -> None:
         writer.split_if_due(START)
         writer.flush_if_due()
         writer._retention._next = 0.0
-        threading.Event().wait(0.02)
+        if job := writer._retention._job:
+            job.result()
 
 
 def lying(folder: Path) -> list[str]:
