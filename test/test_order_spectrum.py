@@ -1,4 +1,4 @@
-"""Spectra over an angle: weights of samples that rest, lines of records that go far."""
+"""Spectra over an angle: weights of samples that rest, lines of records that go far, lines that stand out."""
 
 import tracemalloc
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from hd_diag.effects.order_spectrum import line_width, spectrum, travelled
+from hd_diag.effects.order_spectrum import line_width, peaks, prominence, spectrum, top, travelled
 
 TURN = 2.0 * np.pi
 
@@ -40,3 +40,28 @@ def test_memory_is_bounded_for_any_number_of_turns() -> None:
     assert order[-1] <= 8.0
     assert np.isfinite(strength).all()
     assert most < 500e6
+
+
+@pytest.mark.parametrize("true", [3.37, 17.043, 33.3])
+def test_a_line_stands_out_at_its_own_order(true: float) -> None:
+    """Over noise that falls with the order, to a fiftieth of what 40 turns resolve."""
+    rng = np.random.default_rng(1)
+    angle = TURN * 40.0 * (np.arange(40_000) + rng.random(40_000)) / 40_000
+    noise = np.cumsum(rng.normal(size=angle.size)) * 0.02
+    order, strength = spectrum(angle, 2.0 * np.cos(true * angle + 0.4) + noise, 40.0)
+    best = int(np.argmax(prominence(strength, 50)))
+    assert top(order, strength, best) == pytest.approx(true, abs=0.02 / 40.0)
+    assert strength[best] == pytest.approx(2.0, rel=0.05)
+    assert best in peaks(strength, 50)[:2]
+
+
+def test_prominence_is_a_ratio_to_the_median_around_and_peaks_stand_apart() -> None:
+    level = np.repeat([1.0, 4.0], 101)
+    level[50], level[151] = 3.0, 16.0
+    raised = prominence(level, 50)
+    assert (raised[50], raised[151]) == (pytest.approx(3.0), pytest.approx(4.0))
+    assert peaks(np.array([0.0, 2.0, 1.9, 0.0, 3.0, 1.0, 0.0]), 3).tolist() == [4]
+    assert peaks(np.array([0.0, 2.0, 1.9, 0.0, 3.0, 1.0, 0.0]), 1).tolist() == [4, 1]
+    assert peaks(np.zeros(5), 1).size == 0
+    assert prominence(np.array([2.0]), 50).tolist() == [1.0]
+    assert top(np.array([1.5]), np.array([2.0]), 0) == 1.5

@@ -58,7 +58,7 @@ class EncoderInterpolation(Harmonic):
         A whole order of the input's turn is the gear's own or the input encoder's.
         """
         order, gear = np.arange(strength.size), self._gear(signals)
-        can = self.divides(order) & (strength > 0.0) & ((gear == 1.0) | (order % gear != 0.0))
+        can = self.divides(order) & ((gear == 1.0) | (order % gear != 0.0))
         return [int(one) for one in peaks(strength, self.multiple - 1) if can[one]]
 
     def divides(self, number: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:

@@ -1,11 +1,16 @@
-"""Amplitude of a residual over orders of an angle, and its peaks: sums over bins, then an FFT."""
+"""Amplitude of a residual over orders of an angle, and its lines: sums over bins, then an FFT.
+
+One spectrum and one finder of lines for all that looks for orders nobody has named: causes, the residual of a
+record, the torque of a joint with one angle, the report. Apart from it stand the orders that a running joint
+follows (`monitor.residual_orders`: four known ones, in bounded memory) and the band of a torque
+(`diagnosis.ripple.band`: a density over frequency, from which lines are taken out).
+"""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from hd_diag.arrays import Floats, Integers
 
@@ -54,10 +59,32 @@ def travelled(angle: Floats) -> Floats:
 
 
 def peaks(strength: Floats, beside: int) -> Integers:
-    """Indices of values that none of so many on either side exceeds, the strongest first."""
-    most = sliding_window_view(np.pad(strength, beside), 2 * beside + 1).max(axis=1)
-    found = np.flatnonzero(strength >= most)
+    """Indices of values above zero that none of so many on either side exceeds, the strongest first."""
+    from scipy.ndimage import maximum_filter1d  # late: a node that diagnoses nothing does without
+
+    most = maximum_filter1d(strength, 2 * beside + 1, mode="constant")
+    found = np.flatnonzero((strength >= most) & (strength > 0.0))
     return np.asarray(found[np.argsort(strength[found])[::-1]])
+
+
+def prominence(strength: Floats, beside: int) -> Floats:
+    """Strength (k,) over what is usual there: medians of parts with so many values on either side."""
+    width = min(2 * beside + 1, strength.size)
+    count = strength.size // width
+    usual = np.median(strength[: count * width].reshape(count, width), axis=1)
+    middle = width * (np.arange(count) + 0.5) - 0.5
+    return np.asarray(strength / np.maximum(np.interp(np.arange(strength.size), middle, usual), 1e-300))
+
+
+def top(order: Floats, strength: Floats, index: int) -> float:
+    """Order at which a parabola through the logarithms of a peak and the values beside it is greatest."""
+    if order.size < 3:
+        return float(order[index])
+    at = min(max(index, 1), order.size - 2)
+    low, middle, high = np.log(np.maximum(strength[at - 1 : at + 2], 1e-300)).tolist()
+    bend = low - 2.0 * middle + high
+    away = 0.5 * (low - high) / bend if bend < 0.0 else 0.0
+    return float(order[at] + min(max(away, -1.0), 1.0) * (order[1] - order[0]))
 
 
 def line_width(angle: Floats, leak: float) -> float:

@@ -23,7 +23,7 @@ from hd_diag.diagnosis.record import GAP_STEPS
 from hd_diag.diagnosis.ripple.ripple import Ripple
 from hd_diag.diagnosis.ripple.verdict import sentence as ripple_sentence
 from hd_diag.diagnosis.statements import sentences
-from hd_diag.effects.order_spectrum import line_width, spectrum
+from hd_diag.effects.order_spectrum import line_width, peaks, spectrum
 from hd_diag.formatting import number, percent, words
 from hd_diag.gears.page import ASSUMED_PROFILE, Page
 from hd_diag.records.joint_record import InputRecord
@@ -265,15 +265,13 @@ def _marks(diagnosis: Diagnosis) -> list[Mark]:
 def _own_orders(angle: Floats, part: Floats, name: str) -> list[Mark]:
     """Peaks that hold a good share of a cause's part; none if it is not a sum of a few waves."""
     order, strength = spectrum(angle, part, _ORDERS[1])
-    width = line_width(angle, _LEAK)
-    least, marks = _LINE_SHARE * float(np.var(part)), []
-    for _ in range(_MOST_MARKS):
-        at = int(np.argmax(strength))
-        if not 0.5 * strength[at] ** 2 > least:
-            break
-        marks.append(Mark(float(order[at]), name, float(strength[at])))
-        strength = np.where(np.abs(order - order[at]) < width, 0.0, strength)
-    return marks
+    strongest = peaks(strength, int(line_width(angle, _LEAK) / (order[1] - order[0])))[:_MOST_MARKS]
+    least = _LINE_SHARE * float(np.var(part))
+    return [
+        Mark(float(order[at]), name, float(strength[at]))
+        for at in strongest
+        if 0.5 * strength[at] ** 2 > least
+    ]
 
 
 # Files ---

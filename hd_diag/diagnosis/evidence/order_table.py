@@ -14,6 +14,7 @@ from hd_diag.diagnosis.fit.design import projection
 from hd_diag.diagnosis.noise import Whitening, bounds, whitening
 from hd_diag.effects.bearing_passage import CAGE
 from hd_diag.effects.effect import Values
+from hd_diag.effects.quantity import turning
 from hd_diag.effects.remainders import LINES
 
 _SAME = 9.0  # deviance that a whole number may cost; half a step beside it must cost more
@@ -146,7 +147,7 @@ def part(rows: tuple[OrderRow, ...], input_angle: Floats, torque: Floats, rated_
     total = np.zeros(input_angle.size)
     for row in rows:
         order, loaded = row.nonlinear
-        wave = row.coefficients @ np.stack((np.cos(order * input_angle), np.sin(order * input_angle)))
+        wave = turning(order * input_angle) @ row.coefficients
         total += row.in_model * wave * (torque / rated_torque if loaded else 1.0)
     return total
 

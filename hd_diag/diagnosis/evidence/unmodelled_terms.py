@@ -13,7 +13,7 @@ from hd_diag.diagnosis.noise import bounds, spans
 from hd_diag.effects.effect import Effect, Kind, Stage, Starts, Values
 from hd_diag.effects.encoder_interpolation import is_round
 from hd_diag.effects.excitation import output_turns
-from hd_diag.effects.order_spectrum import integer_orders
+from hd_diag.effects.order_spectrum import integer_orders, peaks
 from hd_diag.effects.output_encoder_interpolation import EFFECT as OUTPUT_ENCODER_LINES
 from hd_diag.effects.quantity import Quantity, amplitude, direction, turning
 from hd_diag.effects.remainders import LINES
@@ -45,8 +45,6 @@ class UnmodelledTerm(Effect):
     ----------
     shape : callable
         Signals to columns of order one, shape (n, k); k = 0 where the record has none.
-    predictive : bool
-        Whether a fit to some samples predicts others.
     """
 
     kind: Kind = "kinematic"
@@ -57,7 +55,6 @@ class UnmodelledTerm(Effect):
     inspect: str = ""
     stage: Stage = Stage.NOWHERE
     shape: Shape = lambda signals: np.empty((signals.size, 0))
-    predictive: bool = True
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """See :meth:`Effect.columns`."""
@@ -129,8 +126,8 @@ class OutputLine(UnmodelledTerm):
         if residual is None or not numbers.size:
             return Starts([(float(one),) for one in numbers[:1]], numbers.size)
         strength = integer_orders(signals.output_angle, residual, int(numbers[-1]))[numbers]
-        peaks = numbers[np.argsort(strength)[::-1][:_PEAKS]]
-        around = np.unique(peaks[:, None] + np.array([-1, 0, 1]))
+        strongest = numbers[peaks(strength, 0)[:_PEAKS]]
+        around = np.unique(strongest[:, None] + np.array([-1, 0, 1]))
         return Starts([(float(one),) for one in np.intersect1d(around, numbers)], numbers.size)
 
 
@@ -155,7 +152,7 @@ class InputLine(UnmodelledTerm):
         if residual is None:
             return Starts([(float(_ORDERS[0]),)], _ORDERS.size)
         strength = integer_orders(signals.wave_generator_angle, residual, int(_ORDERS[-1]))[_ORDERS]
-        return Starts([(float(one),) for one in _ORDERS[np.argsort(strength)[::-1][:_PEAKS]]], _ORDERS.size)
+        return Starts([(float(one),) for one in _ORDERS[peaks(strength, 0)[:_PEAKS]]], _ORDERS.size)
 
 
 def _line_numbers(signals: Signals) -> Integers:
@@ -256,7 +253,6 @@ UNMODELLED_TERMS = (
         shape=_rests,
         cause="settles anew at every rest: something is loose",
         frame="time",
-        predictive=False,
         remembers=True,  # rows at rest, which are not fitted, say where it changes
     ),
     LocalBump(

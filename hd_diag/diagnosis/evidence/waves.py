@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.fft import next_fast_len
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.calibration import LEAST_SIZE
@@ -19,13 +18,15 @@ from hd_diag.diagnosis.fit.design import f_test, holds, orthonormal, projection
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.noise import Whitening, whitening
 from hd_diag.effects.effect import Effect
+from hd_diag.effects.order_spectrum import prominence, spectrum, top
+from hd_diag.effects.quantity import turning
 from hd_diag.effects.remainders import LINES, ORDERS
 
 Rows = npt.NDArray[np.bool_]
 
-_MOST_CELLS = 4_000_000
-_PER_TURN = 128  # cells per turn of the input, so orders up to 64 are seen
 _MOST_ORDERS = 40.0
+_LEAST_TURNS = 3.0  # that show an order
+_LEAST_BESIDE, _PARTS = 50, 120  # values of the spectrum about a peak, of all the part beside it
 _LEAST_ORDER = 0.012  # once and twice per output turn are causes of their own
 _LEAST_PART = 0.08  # of the record, in which a wave is searched for alone
 _CONFIRMED = 0.5  # of the gain of held-out blocks that a wave predicts
@@ -115,8 +116,7 @@ class Remainder:
 
     def pair(self, wave: Wave) -> Floats:
         """Cosine and sine of a wave, shape (n, 2)."""
-        phase = wave.order * self.phase(wave.frame)
-        return np.asarray(np.stack((np.cos(phase), np.sin(phase)), axis=1) * wave.weight.values[:, None])
+        return turning(wave.order * self.phase(wave.frame)) * wave.weight.values[:, None]
 
     @cached_property
     def load(self) -> Floats:
@@ -147,15 +147,14 @@ def strongest(rest: Remainder) -> Wave | None:
     """The wave that stands out most: evenly, in proportion to the torque, or in a part of the record."""
     residual = rest.residual
     peaks = [
-        (*peak, frame, weight)
+        (*peak, frame)
         for frame in ("input", "time")
         for weight in rest.weights
         if (peak := _peak(rest.phase(frame), residual * weight.values)) is not None
     ]
     if not peaks:
         return None
-    _, order, frame, weight = max(peaks, key=lambda one: one[0])
-    order = _refined(rest.phase(frame), residual * weight.values, order)
+    _, order, frame = max(peaks, key=lambda one: one[0])
     # Noise is learnt beside waves of this order in every part, or strong ones would count as noise.
     every = [Wave(order, frame, one) for one in rest.weights]
     pairs = [rest.pair(wave) for wave in every]
@@ -225,45 +224,11 @@ def _block_gains(rest: Remainder, pair: Floats, whiten: Whitening) -> tuple[Floa
 def _peak(phase: Floats, residual: Floats) -> tuple[float, float] | None:
     """Height of the highest peak of the spectrum over its neighbourhood, and its order."""
     covered = turns(phase)
-    cells = int(np.ceil(covered * _PER_TURN)) + 1
-    if covered < 3.0 or cells > _MOST_CELLS:
+    if covered < _LEAST_TURNS:
         return None
-    index = ((phase - phase.min()) / (2.0 * np.pi) * _PER_TURN).astype(np.int64)
-    total = np.bincount(index, weights=residual, minlength=cells)
-    count = np.bincount(index, minlength=cells)
-    mean = np.where(count > 0, total / np.maximum(count, 1), 0.0)
-    length = next_fast_len(2 * cells, real=True)
-    power = np.abs(np.fft.rfft(mean, length)) ** 2
-    orders = np.arange(power.size) * (_PER_TURN / length)
-    use = (orders > max(_LEAST_ORDER, 2.0 / covered)) & (orders < _MOST_ORDERS)
-    if use.sum() < 50:
-        return None
-    power, orders = power[use], orders[use]
-    width = max(25, power.size // 60)
-    floor = _medians(power, max(power.size // width, 1))
-    local = np.interp(np.arange(power.size), np.linspace(0, power.size, floor.size), floor)
-    ratio = power / np.maximum(local, 1e-300)
-    best = int(np.argmax(ratio))
-    return float(ratio[best]), float(orders[best])
-
-
-def _medians(values: Floats, count: int) -> Floats:
-    """Of so many parts as even as can be, the longer ones first, as `numpy.array_split` has them."""
-    size, longer = divmod(values.size, count)
-    edge = longer * (size + 1)
-    parts = (values[:edge].reshape(longer, size + 1), values[edge:].reshape(-1, size))
-    return np.concatenate([np.median(part, axis=1) for part in parts])
-
-
-def _refined(phase: Floats, residual: Floats, order: float) -> float:
-    """The order near a peak at which a wave explains most."""
-    step = 0.5 / max(turns(phase), 1.0)
-    for _ in range(3):
-        trial = order + step * np.linspace(-1.0, 1.0, 9)
-        wave, next_one = residual * np.exp(1j * trial[0] * phase), np.exp(0.25j * step * phase)
-        power = []
-        for _ in trial:
-            power.append(abs(complex(wave.sum())))
-            wave *= next_one
-        order, step = float(trial[int(np.argmax(power))]), step / 4.0
-    return order
+    order, strength = spectrum(phase, residual, _MOST_ORDERS)
+    use = order > max(_LEAST_ORDER, 2.0 / covered)
+    order, strength = order[use], strength[use]
+    height = prominence(strength, max(_LEAST_BESIDE, strength.size // _PARTS))
+    best = int(np.argmax(height))
+    return float(height[best]), top(order, strength, best)

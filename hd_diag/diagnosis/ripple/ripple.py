@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import median_filter
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.record import RecordError
@@ -19,6 +18,7 @@ from hd_diag.diagnosis.ripple.band import PASSING, Band, band
 from hd_diag.diagnosis.ripple.delay import Delay, found_delay, late
 from hd_diag.diagnosis.ripple.lines import BESIDE, LEAST_WINDOWS, Line, lines_at
 from hd_diag.diagnosis.ripple.windows import TURN, TURNS, Windows, windows
+from hd_diag.effects.order_spectrum import peaks, prominence, top
 from hd_diag.model.transmission_error import Kinematics
 
 MULTIPLES = (1.0, 2.0, 4.0)
@@ -202,17 +202,19 @@ def _others(
     whole: Windows, orders: Floats, spectrum: Floats, lines: Sequence[Line], ratio: float
 ) -> list[Line]:
     """Lines at the spectrum's peaks that are not at the gear's orders nor beside those that were found."""
-    level = np.sqrt(median_filter(spectrum**2, 2 * int(2.0 * BESIDE[1] / TURNS * whole.reach) + 1))
-    height = spectrum / np.maximum(level, 1e-300)
+    beside = int(BESIDE[0] / TURNS / (orders[1] - orders[0])) if orders.size > 1 else 0
+    height = prominence(spectrum, 2 * beside)
     for line in lines:
         near = BESIDE[0] / TURNS if line.found else _WIDTH / whole.reach
         height[np.abs(orders - line.order / ratio) <= near] = 0.0
     found: list[Line] = []
     tests = max(int((_HIGHEST - _LOWEST) * whole.reach), 1)
-    while len(found) < _MOST_OTHERS and height.any():
-        order = float(orders[int(np.argmax(height))])
-        height[np.abs(orders - order) <= BESIDE[0] / TURNS] = 0.0
-        seen = [line for line in lines_at(whole, order, ratio, (0.0,), tests) if line.found]
+    for at in peaks(height, beside)[:_MOST_OTHERS]:
+        seen = [
+            line
+            for line in lines_at(whole, top(orders, spectrum, int(at)), ratio, (0.0,), tests)
+            if line.found
+        ]
         if not seen:
             break
         found.append(max(seen, key=lambda line: line.amplitude))
