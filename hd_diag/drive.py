@@ -54,6 +54,13 @@ class Drive:
         if not 0.0 < self.accuracy < np.inf:
             raise ValueError(f"accuracy must be positive, not {self.accuracy} rad")
 
+    def __repr__(self) -> str:
+        geometry, ratio = self.mesh.geometry, self.kinematics.ratio
+        return (
+            f"<Drive: ratio {ratio:g}, {geometry.flexspline_teeth}/{geometry.circular_spline_teeth} teeth, "
+            f"rated {self.rated_torque:g} N m, eccentricity {1e6 * abs(self.mesh.eccentricity):.3g} µm>"
+        )
+
     @cached_property
     def frame(self) -> Frame:
         """How reported numbers map to the mesh and back."""

@@ -20,7 +20,7 @@ from hd_diag.config.parameters import flatten
 from hd_diag.diagnosis import diagnosis as offline
 from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.fit.fit_parameters import warm_up
-from hd_diag.diagnosis.record import Record
+from hd_diag.diagnosis.record import Record, RecordError
 from hd_diag.diagnosis.screening import screened
 from hd_diag.diagnosis.verdict import as_json
 from hd_diag.drive import Drive, MeshState
@@ -28,6 +28,7 @@ from hd_diag.gears.catalogue import named
 from hd_diag.gears.page import Page
 from hd_diag.records.joint_record import read_bags
 from hd_diag.records.tables import Table, read_tables
+from hd_diag.records.text_table import is_table
 
 _OF_PAGE = ("size", *Page._fields[:-1])
 
@@ -131,6 +132,11 @@ def read(
         raise TypeError('read takes one joint, as load(file)["elbow"] or "elbow", not all of a file')
     paths = [files] if isinstance(files, (str, Path)) else files
     if columns is None:
+        for table in filter(is_table, map(Path, paths)):
+            raise RecordError(
+                f'{table}: a table needs columns, as {{"time": "t", "input": "m[deg]", "output": "l[deg]"}}; '
+                f"hd-diag topics {table} proposes some"
+            )
         return read_bags(paths, joint)
     return read_tables(paths, Table(columns, rate=rate), joint)
 
@@ -151,5 +157,8 @@ def verdict(diagnosis: Diagnosis, joint: str = "joint_1") -> dict[str, Any]:
 
 
 def _moments(angle: npt.ArrayLike, torque: npt.ArrayLike) -> tuple[Floats, Floats]:
-    found, load = np.broadcast_arrays(np.atleast_1d(angle), np.atleast_1d(torque))
-    return np.asarray(found, dtype=np.float64), np.asarray(load, dtype=np.float64)
+    found, load = (np.atleast_1d(np.asarray(one, np.float64)) for one in (angle, torque))
+    if found.shape != load.shape and 1 not in (found.size, load.size):
+        raise ValueError(f"angle {found.shape} [rad] and torque {load.shape} [N m] differ in shape")
+    found, load = np.broadcast_arrays(found, load)
+    return found, load

@@ -95,7 +95,9 @@ def test_one_angle_is_told(given: dict[str, np.ndarray], tmp_path: Path) -> None
     messages = Messages(KUKA)
     path = messages.write(tmp_path / "a.mcap", "/lbr/state", robots.kuka_states(messages, given))
     content, config = found_in(path, tmp_path)
-    assert content["joints"][0]["said"] == "one angle: see hd-diag ripple"
+    assert content["joints"][0]["said"] == (
+        "one angle, diagnose needs two; hd-diag ripple looks for the gear in its torque"
+    )
     assert config.joints[0].signals.output.field == "measured_joint_position[3]"
     assert config.joints[0].signals.torque.field == "measured_torque[3]"
 

@@ -14,6 +14,7 @@ from cli_runner import hd_diag as command
 
 import hd_diag
 from hd_diag.config.configuration import ConfigError
+from hd_diag.diagnosis.record import RecordError
 
 PAGE = Path(__file__).resolve().parent.parent / "docs/python.md"
 ELBOW = [
@@ -53,6 +54,8 @@ def test_a_moment_is_that_of_the_command_line(folder: Path) -> None:
     assert hd_diag.transmission_error(drive, [0.7], 9)[0] == told["transmission_error"]
     load = [told["load"][sign] for sign in "+-"]
     np.testing.assert_array_equal(state.load[0], np.array(load, dtype=float))
+    with pytest.raises(ValueError, match=r"angle \(3,\) \[rad\] and torque \(4,\) \[N m\] differ in shape"):
+        hd_diag.transmission_error(drive, np.zeros(3), np.zeros(4))
     driven = hd_diag.mesh_state(drive, 0.7, drive.frame.cup_torque(np.array([9.0])))
     assert driven.torsion[0] == told["as_driven"]["torsion"]
 
@@ -63,6 +66,7 @@ def test_a_gear_is_that_of_the_command_line(folder: Path) -> None:
     drive = hd_diag.load(folder / "page.yaml")["elbow"].drive
     own = hd_diag.gear(by_values, accuracy=drive.accuracy)
     assert own == drive
+    assert repr(own) == "<Drive: ratio 160, 320/322 teeth, rated 40 N m, eccentricity 0 µm>"
     assert hd_diag.gear("csg-25-100", output="circular_spline").kinematics.ratio == 101.0
     with pytest.raises(ConfigError, match="no gear 'CSF-25-100' in the table"):
         hd_diag.gear("CSF-25-100")
@@ -78,6 +82,8 @@ def test_a_csv_file_is_read(folder: Path) -> None:
     columns = {"time": "t", "input": "motor[deg]", "output": "link", "torque": "torque"}
     record = hd_diag.read(folder / "e.csv", joint, columns)
     np.testing.assert_allclose(record.input_angle, bag.input_angle, atol=1e-9)
+    with pytest.raises(RecordError, match=r"e.csv: a table needs columns, as \{.*hd-diag topics .*e.csv"):
+        hd_diag.read(folder / "e.csv", joint)
 
 
 def test_a_joint_is_given_by_its_name_too_and_all_of_a_file_are_not_one(folder: Path) -> None:

@@ -28,10 +28,11 @@ def _section(name: str, command: click.Command) -> str:
     options = [option for option in command.get_params(context) if isinstance(option, click.Option)]
     records = [record for option in options if (record := option.get_help_record(context))]
     rows = [[f"`{option.replace('|', chr(92) + '|')}`", plain(meaning)] for option, meaning in records]
+    example = (command.epilog or "").removeprefix("\b\nExample: ")
     paragraphs = [
         f"## {name}",
         f"```text\n{usage}\n```",
-        f"```sh\n{(command.epilog or '').removeprefix('Example: ')}\n```",
+        f"```sh\n{example}\n```",
         *map(plain, (command.help or "").split("\n\n")),
         table(["option", "meaning"], rows),
     ]

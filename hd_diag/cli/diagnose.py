@@ -15,7 +15,7 @@ from hd_diag import __version__
 from hd_diag.cli.lines import show_table
 from hd_diag.cli.options import check_files
 from hd_diag.cli.progress import showing
-from hd_diag.cli.record import Judged, Records, judge_each, not_judged, on_records
+from hd_diag.cli.record import PREPARING, Judged, Records, judge_each, not_judged, on_records
 from hd_diag.cli.targets import Problem
 from hd_diag.config.configuration import JointConfig
 from hd_diag.config.model_file import document, write
@@ -117,6 +117,7 @@ def report(records: Records, out: Path | None, json_file: str | None) -> int:
                     found = records.ripple(joint, motion)
                 if motion is None:
                     raise
+                advance(0, 0, PREPARING)
                 page = of_motion(motion, joint, flat, str(error), found)
                 content = {"ripple": ripple_verdict.as_json(found, joint.name)} if found else {}
                 content |= motion.stamps.reported

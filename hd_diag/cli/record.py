@@ -15,7 +15,7 @@ from hd_diag.cli.joints import chosen_joints, configured
 from hd_diag.cli.lines import tell
 from hd_diag.cli.progress import Advance
 from hd_diag.cli.targets import Problem, write_json, writing
-from hd_diag.cli.topics import is_table, of_table, tell_contents
+from hd_diag.cli.topics import of_table, tell_contents
 from hd_diag.config.catalogue import load
 from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
@@ -29,9 +29,12 @@ from hd_diag.effects import Catalogue
 from hd_diag.memory import give_back
 from hd_diag.records.joint_record import InputRecord, nothing, read_bags, read_motion
 from hd_diag.records.tables import Table, read_table_motion, read_tables
-from hd_diag.records.text_table import WHITE
+from hd_diag.records.text_table import WHITE, is_table
 from hd_diag.report.facts import JointReport, sources
 from hd_diag.tolerance.study import with_allowed
+
+PREPARING = "preparing the model (a minute, the first time on a machine)"
+"""What is said while kernels are compiled."""
 
 _DELIMITERS = {"tab": "\t", "space": WHITE}
 
@@ -50,13 +53,13 @@ class Records:
 
     def diagnosed(self, joint: JointConfig, advance: Advance) -> Diagnosis:
         """Diagnosis of a joint; BagError and RecordError where there is nothing that can be judged."""
-        advance(0.0, 1.0, "reading")
+        advance(0, 0, "reading")
         # No name for the record: it goes as soon as it was looked through.
         looked = screened(self._record(joint), joint.configured)
         rng = np.random.default_rng(0)
         if self.orders_only:
             return orders_only(looked, joint.configured, rng)
-        advance(0.0, 1.0, "preparing the model (a minute, the first time on a machine)")
+        advance(0, 0, PREPARING)
         warm_up()  # compiling takes nothing from the time limit
         give_back()
         work = Work(self.time_limit, lambda share, text: advance(share, 1.0, text))

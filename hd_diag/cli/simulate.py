@@ -47,7 +47,7 @@ def simulate(
             )
         start = round(given["start_time"] * SECOND)
         with working() as part:
-            mapping = part("map")
+            mapping = part("preparing the model")
             samples = write_bag(
                 out,
                 config,

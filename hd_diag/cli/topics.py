@@ -28,9 +28,9 @@ from hd_diag.messages.joint_states import JOINT_STATE
 from hd_diag.records.contents import AnglePair, Contents, NumericField, beside, contents, pairs
 from hd_diag.records.robot_description import Transmission, contradictions, described, transmissions
 from hd_diag.records.table_columns import TableColumns, table_columns
+from hd_diag.records.text_table import is_table
 
 _SHOWN, _NAMED = 40, 12  # numbers of a topic; joints of a publisher
-_TABLES = (".csv", ".tsv", ".txt", ".dat", ".asc")
 _TORQUES = "torque", "current"
 _BULK = 0.01, 0.99  # of the stamps that tell a rate
 _DIFFERS = 0.02  # relative difference allowed between the ratio of two angles and a described one
@@ -42,11 +42,6 @@ def topics(bag: Path, urdf: Path | None, config_file: str | None, json_file: str
     result = of_table(bag) if is_table(bag) else _of_bag(bag, urdf, joints)
     if write_json(json_file, result):
         tell_contents(result)
-
-
-def is_table(path: Path) -> bool:
-    """Whether a file is taken for a table by its name."""
-    return path.suffix.lower() in _TABLES
 
 
 def of_table(path: Path) -> dict[str, Any]:
@@ -234,8 +229,8 @@ def _joint(output: NumericField, pair: AnglePair | None, every: list[NumericFiel
     said = ""
     if pair is None:
         velocity = beside(every, output, "velocity")
-        said = "one angle: see hd-diag ripple"
-        said += "; 'input: velocity' where its velocity is the motor's own" if velocity else ""
+        said = "one angle, diagnose needs two; hd-diag ripple looks for the gear in its torque"
+        said += "; a velocity of the motor's own encoder is a second: 'input: velocity'" if velocity else ""
     elif pair.counted:
         said = "input and output count: in unit counts/N put N, the counts to a turn, for '?'"
         if pair.output.unit == "rad":

@@ -31,6 +31,7 @@ _LOOKED_AT = 500  # lines in which the rows must have begun
 _HEAD = 4096  # bytes that tell the encoding
 _MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 _REMARK = ("#", "%", "//")
+_NAMES = (".csv", ".tsv", ".txt", ".dat", ".asc")
 _MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--"}
 _DATE = re.compile(
     r"(\d{4}-\d\d-\d\d|\d{8})[T ](\d\d):?(\d\d):?(\d\d)?(?:[.,](\d+))?\s*(Z|[+-]\d\d(?::?\d\d)?)?"
@@ -84,6 +85,11 @@ class TextTable:
             elif len(cells) == len(self.header) or quantity(cells[0]) is not None:
                 part, ended = part + ended, False
                 yield line, part, cells
+
+
+def is_table(path: Path) -> bool:
+    """Whether a file is taken for a table by its name."""
+    return path.suffix.lower() in _NAMES
 
 
 def text_table(path: Path, delimiter: str = "") -> TextTable:
