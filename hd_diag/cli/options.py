@@ -222,4 +222,7 @@ def needing_ros(what: str) -> Iterator[None]:
     try:
         yield
     except ImportError as error:
-        raise Problem(f"{what} needs ROS 2 Jazzy (rclpy), which cannot be imported: {error}") from error
+        raise Problem(
+            f"{what} needs ROS 2 Jazzy (rclpy), which cannot be imported: {error}; "
+            "source its setup.bash, or take the hd-diag of make demo"
+        ) from error
