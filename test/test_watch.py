@@ -150,7 +150,7 @@ def test_a_node_without_samples_is_stale_though_it_reports() -> None:
 
 def test_what_was_seen_instead() -> None:
     watch = Watch(("a",), ("/arm",))
-    assert drawn(watch).splitlines() == ["no report of a yet: no diagnostics came at all"]
+    assert drawn(watch).splitlines() == ["no report of a yet: no diagnostics: same ROS_DOMAIN_ID?"]
     watch.take(TOPIC, array(status("camera")), 0.0)
     assert watch.lack("yet") == "no report of a yet: only diagnostics of others came"
     watch.take(TOPIC, array(message("b")), 0.0)

@@ -92,7 +92,7 @@ def _log(reader: BagReader) -> tuple[str, Event]:
     """Topic of the events of the node that wrote the bag, and the first of them."""
     suffix = EVENTS[1:]
     names = [t.name for t in reader.topics if t.type_name == STRING and t.name.endswith(suffix)]
-    reason = "is no log of the node, so a configuration is needed (--config)"
+    reason = "is no log of the node, so a configuration is needed (--config), such as hd-diag gear writes"
     for name in names:
         batch = next(iter(reader.batches([name])), None)
         event = {} if batch is None else event_of(reader.path, bytes(next(batch.messages())))

@@ -88,7 +88,7 @@ class Watch:
     def lack(self, until: str) -> str:
         """What was not reported until now, which is said in words, and what is there; empty where all was."""
         missing, seen = self.missing(), [f"{view.node} {view.joint}" for view, *_ in self._seen.values()]
-        none = "only diagnostics of others came" if self.messages else "no diagnostics came at all"
+        none = "only diagnostics of others came" if self.messages else "no diagnostics: same ROS_DOMAIN_ID?"
         there = f"there is {listed(seen, _NAMES_SHOWN)}" if seen else none
         words = f"no report of {', '.join(missing) or 'an hd_diag node'} {until}: {there}"
         return words if missing or not self.view(0.0) else ""
