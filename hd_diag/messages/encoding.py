@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,7 @@ HEADER = b"\0\1\0\0"
 
 _ARRAYS = ("position", "velocity", "effort")
 _NOTHING = np.empty((0, 0))
-_UINT32 = struct.Struct("<I")
+_UINT32, _TIME = struct.Struct("<I"), struct.Struct("<iI")
 
 
 def encode_joint_states(
@@ -61,15 +61,10 @@ def encode_joint_states(
     return rows.view(np.uint8)
 
 
-def encode_headers(stamps: npt.ArrayLike, frame_id: str) -> Bytes:
-    """std_msgs/Header messages, shape (n, size): times [ns] (n,) and what they belong to."""
-    time, body = np.asarray(stamps, np.int64), text(frame_id, 1)
-    rows = np.empty(
-        time.size, [("head", "V4"), ("sec", "<i4"), ("nanosec", "<u4"), ("frame", f"V{len(body)}")]
-    )
-    rows["head"], rows["frame"] = np.void(HEADER), np.void(body)
-    rows["sec"], rows["nanosec"] = np.divmod(time, 1_000_000_000)
-    return rows.view(np.uint8).reshape(time.size, rows.itemsize)
+def encode_headers(stamps: Iterable[int], frame_id: str) -> list[bytes]:
+    """std_msgs/Header messages: times [ns] (n,) and what they belong to."""
+    body = text(frame_id, 1)
+    return [HEADER + _TIME.pack(*divmod(stamp, 1_000_000_000)) + body for stamp in stamps]
 
 
 def warm_up() -> None:

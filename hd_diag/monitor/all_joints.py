@@ -23,9 +23,10 @@ from hd_diag.monitor.settings import MonitorConfig
 from hd_diag.streams.alignment import Aligned, Alignment, kernel
 from hd_diag.streams.columns import LARGEST_TEMPERATURE, JointStates
 
+_TOGETHER = 4  # joints whose per-tooth arrays are of one time
 _NEVER = -(2**62)  # number of a period
 _ORDERED = "stamp", "input_angle", "output_angle", "torque", "residual"  # what the orders are followed in
-_FOLLOWED = 256  # samples that are taken into the residual's orders at once: a report may be far
+_FOLLOWED = 2048  # samples that are taken into the residual's orders at once: a report may be far
 
 
 class Monitor:
@@ -162,8 +163,9 @@ class Monitor:
         for rate, last, is_drawn in zip(rates, self.periods, (False, True), strict=True):
             if rate > 0.0:
                 period = round(1e9 / (rate * self.share))
-                # Each joint's periods begin at another time: no message has to wait for the arrays of all.
-                offset = period * np.arange(last.size) // last.size
+                # A few joints' periods begin together, which costs less; those of all would hold up messages.
+                groups = -(-last.size // _TOGETHER)
+                offset = period * (np.arange(last.size) // _TOGETHER) // groups
                 self._periods.append((period, offset, last, is_drawn))
 
     def _by_models(self, samples: Aligned) -> list[Floats]:

@@ -63,7 +63,8 @@ _QOS = RELIABLE._replace(depth=INPUT_DEPTH)
 _LOOP_PERIOD = 0.05  # longest sleep between looks at the clock, the log and finished maps [s]
 _DRAIN_PERIOD = 0.01  # longest time in which what DDS holds is taken [s]
 _IDLE = 3  # turns of the executor without a message, after which DDS has none: others' events stand between
-_GATHER = 0.008  # from some samples to the next, while these come faster: eight together at 1 kHz [s]
+_GATHER = 0.008, 0.016  # least and longest time from some samples to the next, while these come faster [s]
+_REST = 16.0  # between these it is so many times as long as the last samples took
 _TOGETHER = 64  # most messages that are processed at once
 _BEHIND = 0.1  # age of a sample: beyond it the node does less of its other work [s]
 _CATCH_UP = 0.5  # longest that a change waits for samples of before [s]
@@ -113,7 +114,7 @@ class DiagnosticNode(Node):
         ]
         self._seen = Publishers(self, self._inputs)
         self._withheld = Withheld(self, self._inputs)
-        self._told_lost, self._busy, self._worked, self._paced = 0, 0.0, 0.0, 0.0
+        self._told_lost, self._busy, self._worked, self._took, self._paced = 0, 0.0, 0.0, 0.0, 0.0
         self._others = 0  # messages taken that are no samples
         self._turned, self._stood_still = math.inf, 0.0  # begin of the last turn, longest time of one [s]
         for joint in config.joints:
@@ -156,8 +157,8 @@ class DiagnosticNode(Node):
     def spin_once(self, executor: Any) -> None:
         """Do what is due, take what has come, work on the oldest samples; the node survives it all.
 
-        Samples gather for a moment after those before: taken together each costs about half. One that comes
-        later, as at a lower rate, does not wait.
+        Samples gather for a moment after those before, the longer the more work these were: taken together
+        each costs less than half. One that comes later, as at a lower rate, does not wait.
         """
         begin = time.monotonic()
         self._stood_still, self._turned = max(self._stood_still, begin - self._turned), begin
@@ -181,8 +182,9 @@ class DiagnosticNode(Node):
     @property
     def _gather(self) -> float:
         """Samples do not gather [s] by simulated time: each message of the clock is one more to take."""
-        clock = self.get_clock()
-        return 0.0 if isinstance(clock, ROSClock) and clock.ros_time_is_active else _GATHER
+        clock, (least, longest) = self.get_clock(), _GATHER
+        is_simulated = isinstance(clock, ROSClock) and clock.ros_time_is_active
+        return 0.0 if is_simulated else min(max(least, _REST * self._took), longest)
 
     @property
     def _taken(self) -> int:
@@ -236,7 +238,8 @@ class DiagnosticNode(Node):
         for _ in some if error is not None else ():
             self._session.monitor.reject(f"{type(error).__name__}: {error}")
         self._latencies.append(time.perf_counter_ns() - begin)
-        self._busy += self._latencies[-1] * 1e-9
+        self._took = self._latencies[-1] * 1e-9
+        self._busy += self._took
         self._worked = time.monotonic()
 
     def _signals(self, some: Sequence[tuple[SignalTopic, Reader, bytes]]) -> None:

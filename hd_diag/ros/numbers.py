@@ -56,7 +56,8 @@ class Missing:
 
     def take(self, number: int) -> None:
         """Take a message by its number."""
-        before = max((last for last in self._last if last < number), default=None)
+        lower = [number - 1] if self.follows(number) else [last for last in self._last if last < number]
+        before = max(lower, default=None)
         jump = 0 if before is None else number - before - 1
         if before is None or (jump and self._new > 0 and time.monotonic() - self._found < _NEW):
             self._new, jump = max(self._new - 1, -1), 0  # -1: it came before its publisher was known

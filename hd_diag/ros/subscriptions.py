@@ -98,7 +98,7 @@ class SignalInput:
     def __init__(self, node: Node, source: SignalTopic, take: Callable[[bytes, float], None]) -> None:
         self.source = source
         self.depth, self.heard = INPUT_DEPTH, time.monotonic()
-        self.given: dict[Identity, None] = {}
+        self.given: deque[Identity] = deque(maxlen=INPUT_DEPTH)
         self._node, self._take = node, take
         self._wanted = self._offered = ReliabilityPolicy.RELIABLE
         self._largest, self._lost, self._missing = 1, 0, Missing()
@@ -159,9 +159,7 @@ class SignalInput:
         self._largest, self.heard = max(self._largest, len(data)), time.monotonic()
         own = identity(info)
         if own is not None:
-            self.given[own] = None
-            if len(self.given) > INPUT_DEPTH:
-                del self.given[next(iter(self.given))]
+            self.given.append(own)
             if not self._missing.follows(own[1]):  # a loss, or a publisher that has just begun
                 self._missing.publishers(self._node.count_publishers(self.source.topic))
             self._missing.take(own[1])

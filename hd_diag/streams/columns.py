@@ -66,10 +66,9 @@ class JointStates(NamedTuple):
         """The messages with their batch's times of reception [ns] for stamps of zero, or always."""
         if always:
             return [self._replace(stamp=received[self.row])]
-        missing = self.stamp == 0
-        if not missing.any():
+        if self.stamp.all():
             return [self]
-        found = []
+        missing, found = self.stamp == 0, []
         for rows, is_missing in ((~missing, False), (missing, True)):
             if rows.any():
                 values = (None if column is None else column[rows] for column in self.blocks)

@@ -157,7 +157,7 @@ def temperature_changes(shapes: Sequence[JointStates]) -> Integers:
         for states in shapes
         for column in temperatures(states).values()
     ]
-    return np.unique(np.concatenate([np.empty(0, np.int64), *rows]))
+    return np.unique(np.concatenate(rows)) if rows else np.empty(0, np.int64)
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
