@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 
 import numpy as np
@@ -12,6 +13,7 @@ from hd_diag.model.mesh import Mesh, contiguous, moments
 from hd_diag.model.threads import MOMENTS, spread
 
 _BEYOND = 1.0  # both sides of zero are solved, also without torque [N m]
+_CARRIED = 0.004  # modules over steps of a pitch: what the gradient carries a displacement by
 
 
 def warm_up(gradient: bool = False) -> None:
@@ -59,23 +61,38 @@ def torsion_and_gradient(mesh: Mesh, wave_generator_angle: Floats, torque: Float
 
 
 def torsion_along(
-    mesh: Mesh, wave_generator_angle: Floats, torque: Floats, nodes: int
+    mesh: Mesh, wave_generator_angle: Floats, torque: Floats, steps: int
 ) -> tuple[Floats, Floats]:
-    """As :func:`torsion_and_gradient` along many samples: solved at nodes of a turn, straight between them.
+    """As :func:`torsion_and_gradient` along many samples: solved at so many steps of some teeth's pitch only.
 
-    At a node they are exact at every torque; what breaks where a pair comes into load is blurred by one step.
-    nan where no flank can bear the torques about a node.
+    A tooth on, the drive is the same but for the direction in which it is displaced. Samples of other teeth
+    follow by the gradient, those between two steps straight. At a node they are exact at every torque; what
+    breaks where a pair comes into load is blurred by one step. nan where no flank can bear the torques about
+    a node.
     """
-    turn, center, _ = moments(mesh, np.linspace(0.0, 2.0 * np.pi, nodes + 1))
-    place = np.mod(wave_generator_angle, 2.0 * np.pi) * (nodes / (2.0 * np.pi))
-    cell = np.minimum(place.astype(np.int64), nodes - 1)
+    teeth, solved = mesh.geometry.circular_spline_teeth, teeth_along(mesh, steps)
+    pitch, first = 2.0 * np.pi / teeth, (2 * np.arange(solved) + 1) * teeth // (2 * solved)
+    nodes = pitch * (first[:, None] + np.linspace(0.0, 1.0, steps + 1)).ravel()
+    place = np.mod(wave_generator_angle, 2.0 * np.pi) * (teeth / (2.0 * np.pi))
+    tooth = np.minimum(place.astype(np.int64), teeth - 1)
+    phase = (place - tooth) * steps
+    step = np.minimum(phase.astype(np.int64), steps - 1)
+    cell = tooth * solved // teeth * (steps + 1) + step
     order = np.argsort(cell.astype(np.int32), kind="stable")
-    load = contiguous(torque[order])
-    found = np.empty((place.size, 5 if mesh.geometry.sections == 1 else 7))
+    turn, center, _ = moments(mesh, nodes)
+    given = (phase - step)[order], np.exp(1j * wave_generator_angle[order]), contiguous(torque[order])
+    found = np.empty((cell.size, 5 if mesh.geometry.sections == 1 else 7))
     found[order] = kernel.entry.torsion_along(
-        mesh.data, turn, center, _BEYOND, cell[order], (place - cell)[order], load
+        mesh.data, turn, center, complex(mesh.eccentricity), _BEYOND, cell[order], *given
     )
     return found[:, -1], _with_compliance(mesh, torque, found[:, :-1])
+
+
+def teeth_along(mesh: Mesh, steps: int) -> int:
+    """Number of teeth at which :func:`torsion_along` solves: the more, the farther it is displaced."""
+    farthest = abs(mesh.eccentricity) + mesh.lean
+    needed = math.ceil(math.pi * farthest * steps / (_CARRIED * mesh.geometry.module))
+    return min(max(needed, 1), mesh.geometry.circular_spline_teeth)
 
 
 def _with_compliance(mesh: Mesh, torque: Floats, gradient: Floats) -> Floats:

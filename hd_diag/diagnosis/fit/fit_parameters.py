@@ -78,7 +78,7 @@ _OTHER_END[TILT] = -1.0
 _SIGNS = -np.ones(len(SCALES))  # that swapped lobes give
 _SIGNS[_SINGLE] = 1.0
 
-# Nodes along a record, from one section to many: these bear one after the other, and fewer are as exact.
+# Nodes of a pitch, from one section to many: these bear one after the other, and fewer are as exact.
 _STEPS_PER_TOOTH, _LEAST_STEPS = 4, 2
 _NODES_PAY = 1.5  # samples per node from which they do
 
@@ -319,30 +319,28 @@ def along(
     configured: Drive,
     input_angle: Floats,
     torque: Floats,
-    nodes: int = 0,
+    steps: int = 0,
 ) -> tuple[Floats, Floats, Floats]:
     """Transmission error and its derivatives by the parameters, along a record.
 
-    They are exact where samples are few; else solved at nodes of the wave generator's turn, straight between.
-    Nodes must keep step with the teeth: else their errors beat with these, in waves of a few per turn.
+    They are exact where samples are few; else :func:`hd_diag.model.torsion.torsion_along` at `steps` of a
+    tooth's pitch, by default four in one section, three in three and two in five.
 
     Returns
     -------
     error : ndarray, shape (n,)
-        To 0.01 arcsec rms of a gear of ratio 100, to 0.1 of one of 50, with as many `nodes` a turn as the
-        default: four a tooth, three of them in three sections, two in five [rad].
+        To 0.02 arcsec rms of a gear of ratio 100, to 0.1 of one of 50 [rad].
     jacobian : ndarray, shape (n, p)
         [rad] per unit, see :func:`units`.
     slope : ndarray, shape (n,)
         dTE/dT [rad/(N m)].
     """
     geometry = drive.mesh.geometry
-    steps = max(_STEPS_PER_TOOTH - geometry.sections // 2, _LEAST_STEPS)
-    nodes = nodes or steps * geometry.circular_spline_teeth
+    steps = steps or max(_STEPS_PER_TOOTH - geometry.sections // 2, _LEAST_STEPS)
     angle = drive.frame.wave_generator_angle(input_angle)
     given = drive.mesh, angle, drive.frame.cup_torque(torque)
-    few = angle.size < _NODES_PAY * nodes
-    beta, gradient = torsion.torsion_and_gradient(*given) if few else torsion.torsion_along(*given, nodes)
+    few = angle.size < _NODES_PAY * (steps + 1) * torsion.teeth_along(drive.mesh, steps)
+    beta, gradient = torsion.torsion_and_gradient(*given) if few else torsion.torsion_along(*given, steps)
     by_x, by_y, by_datum, by_compliance, by_torque, *by_tilt = gradient.T
     cosine, sine = np.cos(angle), np.sin(angle)
     scale = -drive.frame.torque_sign * units(configured)

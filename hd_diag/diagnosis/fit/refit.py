@@ -21,7 +21,7 @@ from hd_diag.effects.mesh_torque import MeshTorque
 # mistake starts that are as good as equal, and a fit of all rows follows.
 _ROUNDS = ((250, 5, 5), (700, 5, 2), (1500, 8, 2))
 _HOPELESS = 2.0  # times the best deviance, beyond which a start is not followed any further
-_MANY_TEETH = 200  # from which, in sections, a node of the model at every second is enough: to 0.1 arcsec rms
+_STEPS = 1  # of a pitch, of the model: a fit of all rows follows
 _FIRST_NOISE, _LEAST_NOISE = 2e-5, 1e-6  # of the residual [rad]; each round takes that of the one before
 _STILL, _STEADY = 0.02, 0.02  # of the usual top speed, and of the torque's range: a rest
 _SETTLING = 0.05  # [s] of a rest that count
@@ -305,10 +305,9 @@ class _Problem:
             effect, own = self.motor
             torque = torque + effect.more(own, point[self.own + 1 :])
             by_torque += list(effect.changes(own, point[self.own + 1 :]).T)
-        teeth = drive.mesh.geometry.circular_spline_teeth
-        in_sections = drive.mesh.geometry.sections > 1
-        nodes = teeth // 2 if in_sections and teeth >= _MANY_TEETH else teeth
-        error, jacobian, slope = fit_parameters.along(drive, self.configured, self.input_angle, torque, nodes)
+        error, jacobian, slope = fit_parameters.along(
+            drive, self.configured, self.input_angle, torque, _STEPS
+        )
         columns = np.concatenate((jacobian, slope[:, None] * np.stack(by_torque, axis=1)), axis=1)
         return self._projected(self.measured - error), self._projected(columns)
 

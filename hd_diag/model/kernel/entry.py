@@ -28,7 +28,15 @@ from hd_diag.model.kernel.load_sharing import (
     side_room,
 )
 from hd_diag.model.kernel.mesh_data import Constants, MeshData, blank
-from hd_diag.model.kernel.sensitivity import add, fill, fill_pieces, parameters, pieces_room, to_housing
+from hd_diag.model.kernel.sensitivity import (
+    add,
+    carried,
+    fill,
+    fill_pieces,
+    parameters,
+    pieces_room,
+    to_housing,
+)
 
 
 @entry_point
@@ -105,12 +113,18 @@ def torsion_along(
     mesh: MeshData,
     turn: Floats,
     eccentricity: Complexes,
+    fixed: complex,
     beyond: float,
     cell: Integers,
     share: Floats,
+    turned: Complexes,
     torque: Floats,
 ) -> Floats:
-    """As of `torsion_and_gradient`, torsion last (n, 5 or 7), at places between angles, in rising cells."""
+    """As of `torsion_and_gradient`, torsion last (n, 5 or 7), at places between angles, in rising cells.
+
+    Each place is a whole number of teeth away, in the direction `turned`. There what of the displacement is
+    `fixed` in the housing, and the tilt, lie elsewhere in the wave generator's frame: by the gradient.
+    """
     work, room, count = scratch(mesh), pieces_room(mesh), parameters(mesh)
     result, here = np.zeros((cell.size, count + 2)), np.empty(count + 2)
     before = now = 0
@@ -122,12 +136,14 @@ def torsion_along(
             found = flanks(mesh, turn[node], eccentricity[node], work)
             low, high = torque[before:after].min() - beyond, torque[before:after].max() + beyond
             size = fill_pieces(work, mesh.compliance, found, low, high, room)
-            turned = complex(math.cos(turn[node]), math.sin(turn[node]))
+            there = complex(math.cos(turn[node]), -math.sin(turn[node]))
             for i in range(before, after):
                 here[:] = 0.0 if size else math.nan
                 if size:
                     add(room, size, torque[i], share[i] if i < now else 1.0 - share[i], here)
-                to_housing(here, count, turned)
+                away = turned[i].conjugate() - there
+                here[-1] += carried(here, count, away * fixed, away * mesh.tilt)
+                to_housing(here, count, turned[i])
                 for k in range(here.size):
                     result[i, k] += here[k]
         before, now = now, after
@@ -182,4 +198,4 @@ def warm_up(gradient: bool) -> None:
         torsion_of_flanks(flat, flat, row)
         touches(mesh.constants, row, row)
         torsion_and_gradient(mesh, row, center, row)
-        torsion_along(mesh, row, center, 0.0, row.astype(np.int64), row, row)
+        torsion_along(mesh, row, center, 0j, 0.0, row.astype(np.int64), row, center, row)
