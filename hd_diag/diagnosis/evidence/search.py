@@ -320,12 +320,13 @@ def _exchanged(now: Set, known: Instead, left: Left) -> tuple[Set | None, Instea
         # What is alike on any record is weighed by its name alone.
         ranked = [one for one in candidates(without) if one.name not in effect.always_confused]
         own = max((one.gain for one in ranked if one.name == effect.name), default=math.inf)
-        # What settling will bring more, it brings the cause itself as well.
-        least = min(now.value - without.value, own) - _CLOSE
+        # What settling brings more, it brings the cause itself as well; none is better than what has no hope.
+        least = max(min(now.value - without.value, own) - _CLOSE, -_HOPEFUL)
         for one in ranked[:_RIVALS]:
             if _kind(one.item) != itself and one.gain > least:
                 there = without.beside(one.item, one.widths).settled()
-                there = there.polished() if there.value > now.value - _NEARLY else there
+                if there.value > now.value - _NEARLY and there.foretells(one.name):
+                    there = there.polished()
                 trials += [there] if there.sensible and there.foretells(one.name) else []
         best = max(trials, key=lambda one: one.value)
         if best.value > now.value and _kinds(best.causes) not in left:
@@ -431,7 +432,11 @@ def _next(now: Set, left: Left) -> Set | None:
 def _best_of(near: Sequence[Candidate], now: Set) -> Set | None:
     """The best set with one of some candidates more; None where none is better than without."""
     settled = [(one.name, now.beside(one.item, one.widths).settled()) for one in near]
-    trials = [(name, one) for name, one in settled if one.sensible]
+    trials = [(name, one) for name, one in settled if one.sensible and one.foretells(name)]
+    if not trials and settled:  # the best one may be on its way to where blocks foretell it
+        name, one = max(settled, key=lambda pair: pair[1].value)
+        there = one.settled(_TO_MINIMUM)
+        trials = [(name, there)] if there.sensible and there.foretells(name) else []
     best = max([now.value, *(one.value for _, one in trials)])
     polished = [(name, one.polished()) for name, one in trials if one.value > best - _NEARLY]
     better = [(name, one) for name, one in polished if one.sensible and one.value > now.value]

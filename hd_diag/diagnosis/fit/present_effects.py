@@ -79,12 +79,14 @@ class PresentEffects:
     @cached_property
     def residual(self) -> Floats:
         """The same less what the present effects are at full size beyond their columns [rad], shape (n,)."""
+        # What is its columns and sees the record as it is reported cancels out.
+        more = tuple(one for one in self.present if not plain(one[0][0]) or one[0][0].stage != Stage.NOWHERE)
 
         def corrected() -> Floats:
-            first = [self.columns(*item) @ coefficients for item, coefficients in self.present]
-            return np.asarray(self.uncorrected - self.together(self.present) + sum(first))
+            first = [self.columns(*item) @ coefficients for item, coefficients in more]
+            return np.asarray(self.uncorrected - self.together(more) + sum(first))
 
-        return self.kept("residual", self._at, _key(self.present), compute=corrected)
+        return self.kept("residual", self._at, _key(more), compute=corrected)
 
     def jacobian(self, reach: Floats | None = None) -> Floats:
         """Derivatives by the parameters, under the real torque, as later stages show them, (n, p).
