@@ -170,8 +170,8 @@ def test_amplitude_of_another_torque_is_that_along_the_whole_record() -> None:
     rows = np.arange(swinging().size) % 7 > 2
     few, every = (linearise(swinging(), CONFIGURED, POINT, rows=some) for some in (rows, None))
     expected = float(np.std(offset.response(every.whole, size, ())))
-    # Along the record the model is solved at nodes, alone by a map: 5e-5 apart.
-    assert few.amplitude(offset, (), size) == pytest.approx(expected, rel=1e-4)
+    # Along the record the model is solved at nodes of some teeth, alone by a map: 6e-4 apart.
+    assert few.amplitude(offset, (), size) == pytest.approx(expected, rel=1e-3)
     assert few.amplitude(drift, (), both) == np.std(drift.response(few.signals, both, ()))
     assert few.amplitude(drift, (), both) != every.amplitude(drift, (), both)
 

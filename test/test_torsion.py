@@ -226,7 +226,7 @@ def test_along_samples_it_is_exact_at_nodes_and_straight_between(outward: float)
         assert np.all(np.abs(found[:, 1:4] - gradient[:, :3]) < rounding[1:4])
 
 
-@pytest.mark.parametrize("size", [4.0, 40.0], ids=["some teeth", "more teeth"])
+@pytest.mark.parametrize("size", [4.0, 16.0], ids=["some teeth", "more teeth"])
 def test_along_samples_a_displacement_is_carried_from_tooth_to_tooth(size: float) -> None:
     """To 0.02 arcsec of 250; derivatives jump where pairs come into load, but on average they are right."""
     mesh = drives.mesh(drives.PAPER, (0.0, 0.25e-6 * size), (1e-6, 2e-6))

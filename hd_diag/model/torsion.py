@@ -13,7 +13,7 @@ from hd_diag.model.mesh import Mesh, contiguous, moments
 from hd_diag.model.threads import MOMENTS, spread
 
 _BEYOND = 1.0  # both sides of zero are solved, also without torque [N m]
-_CARRIED = 0.016  # modules over squared steps of a pitch: what the gradient carries a displacement by
+_CARRIED = 0.004  # modules over squared steps of a pitch: what the gradient carries a displacement by
 
 
 def warm_up(gradient: bool = False) -> None:

@@ -335,7 +335,10 @@ def _exchanged(now: Set, known: Instead, left: Left) -> tuple[Set | None, Instea
         for trial in trials:
             name = "".join(trial.names - without.names)
             odds[name] = max(trial.value - now.value, odds.get(name, -math.inf))
-        instead[effect.name] = odds | {"": max(odds[""], without.by_own_noise() - now.by_own_noise())}
+        odds[""] = max(odds[""], without.by_own_noise() - now.by_own_noise())
+        if odds[""] > 0.0 and _kinds(without.causes) not in left:
+            return without, {}
+        instead[effect.name] = odds
     return None, instead
 
 
@@ -433,10 +436,6 @@ def _best_of(near: Sequence[Candidate], now: Set) -> Set | None:
     """The best set with one of some candidates more; None where none is better than without."""
     settled = [(one.name, now.beside(one.item, one.widths).settled()) for one in near]
     trials = [(name, one) for name, one in settled if one.sensible and one.foretells(name)]
-    if not trials and settled:  # the best one may be on its way to where blocks foretell it
-        name, one = max(settled, key=lambda pair: pair[1].value)
-        there = one.settled(_TO_MINIMUM)
-        trials = [(name, there)] if there.sensible and there.foretells(name) else []
     best = max([now.value, *(one.value for _, one in trials)])
     polished = [(name, one.polished()) for name, one in trials if one.value > best - _NEARLY]
     better = [(name, one) for name, one in polished if one.sensible and one.value > now.value]

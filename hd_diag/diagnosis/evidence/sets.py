@@ -10,7 +10,7 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis import calibration
 from hd_diag.diagnosis.evidence.evidence import Columns, Evidence
-from hd_diag.diagnosis.fit.design import holds, projection
+from hd_diag.diagnosis.fit.design import foretold, holds, projection
 from hd_diag.diagnosis.fit.joint_refinement import free, polished, sensible, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.present_effects import Item
@@ -166,9 +166,11 @@ class Set:
         place = self.fit.places(self.chosen)[self.chosen.index(item)]
         design = self.fit.design(self.chosen)
         more = design.prior_gain(place) / design.square.size
-        gain, predicted = (one + more for one in design.held_out_gain(place))
-        worth = 0.5 * calibration.TEMPER * min(float(gain.sum()), float(predicted.sum()))
-        return worth > -presence(self.fit, item[0]) and holds(gain, predicted)
+        gain, predicted, variance = design.held_out_gain(place)
+        gain, predicted, variance = gain + more, predicted + more, variance + max(more, 0.0)
+        there = min(foretold(one, predicted, variance) for one in (gain, predicted))
+        worth = 0.5 * calibration.TEMPER * there
+        return worth > -presence(self.fit, item[0]) and holds(gain, predicted, variance)
 
     def relearned(self) -> Set:
         """With noise learned beside it, valued anew: the evidence of other noise is not comparable."""

@@ -167,8 +167,8 @@ def strongest(rest: Remainder) -> Wave | None:
     small = float(np.std(projection(pair, residual))) < LEAST_SIZE
     if small or tests * _chance(rest, pair, whiten) > _CHANCE:
         return None
-    gain, predicted = _block_gains(rest, pair, whiten)
-    if not holds(gain, predicted) and gain.sum() < _CONFIRMED * predicted.sum():
+    gain, predicted, variance = _block_gains(rest, pair, whiten)
+    if not holds(gain, predicted, variance) and gain.sum() < _CONFIRMED * predicted.sum():
         return None
     return every[best]
 
@@ -209,16 +209,19 @@ def _speeds(speed: Floats) -> list[tuple[Rows, str]]:
     return [*(one for one in found if one[1]), *bands]
 
 
-def _block_gains(rest: Remainder, pair: Floats, whiten: Whitening) -> tuple[Floats, Floats]:
-    """Fall of the sum of squares in each block by a wave fitted to all others, and the fall predicted."""
+def _block_gains(rest: Remainder, pair: Floats, whiten: Whitening) -> tuple[Floats, Floats, Floats]:
+    """Fall of the sum of squares in each block by a wave fitted to all others; see `Design.held_out_gain`."""
     white = whiten(np.column_stack((pair, rest.residual)), rest.run)
     parts = [white[rest.block == block] for block in range(int(rest.block[-1]) + 1)]
     grams = np.stack([part.T @ part for part in parts])
     own, products = grams[:, :2, :2], grams[:, :2, 2]
     others = own.sum(axis=0) - own
-    found = np.linalg.pinv(others) @ (products.sum(axis=0) - products)[..., None]
-    predicted = (np.swapaxes(found, 1, 2) @ own @ found)[:, 0, 0]
-    return 2.0 * np.sum(products * found[..., 0], axis=1) - predicted, predicted
+    spread = np.linalg.pinv(others)
+    found = spread @ (products.sum(axis=0) - products)[..., None]
+    along = own @ found
+    predicted = (np.swapaxes(found, 1, 2) @ along)[:, 0, 0]
+    variance = predicted + (np.swapaxes(along, 1, 2) @ spread @ along)[:, 0, 0]
+    return 2.0 * np.sum(products * found[..., 0], axis=1) - predicted, predicted, variance
 
 
 def _peak(phase: Floats, residual: Floats) -> tuple[float, float] | None:

@@ -97,7 +97,7 @@ class Design:
             found.append((own, own_moment, others, towards, spread @ towards, spread))
         return found
 
-    def held_out_gain(self, dropped: slice) -> tuple[Floats, Floats]:
+    def held_out_gain(self, dropped: slice) -> tuple[Floats, Floats, Floats]:
         """What some columns bring in each block, by fits to all others.
 
         Parameters
@@ -110,11 +110,14 @@ class Design:
         gain : ndarray, shape (blocks,)
             Fall of the block's sum of squares.
         predicted : ndarray, shape (blocks,)
-            The fall if the prediction were right: gains scatter about it by twice its root.
+            The fall if the prediction were right.
+        variance : ndarray, shape (blocks,)
+            Of half the gain about it: by noise as much as is predicted, and by what the others leave open of
+            all coefficients. A block in whose state no other is says little.
         """
         count = self.moment.shape[1]
         rest = np.delete(np.arange(count), np.r_[dropped])
-        gain, predicted = np.empty((2, self.square.size))
+        gain, predicted, variance = np.empty((3, self.square.size))
         for block, (g, m, others, towards, beta, spread) in enumerate(self._by_others):
             fewer = np.zeros(count)
             told = np.einsum("ij,ji->i", spread[dropped], others[:, dropped])  # one where no other is alike
@@ -125,8 +128,10 @@ class Design:
                 fewer[rest] = solve(others[np.ix_(rest, rest)], towards[rest])
             change = beta - fewer
             gain[block] = 2.0 * change @ m - beta @ g @ beta + fewer @ g @ fewer
-            predicted[block] = change @ g @ change
-        return gain, predicted
+            along = g @ change
+            predicted[block] = change @ along
+            variance[block] = predicted[block] + along @ spread @ along
+        return gain, predicted, variance
 
     def prior_gain(self, dropped: slice) -> float:
         """How much farther others have to go from their prior without some columns, as a sum of squares."""
@@ -240,12 +245,12 @@ def lower_bound(gains: Floats) -> float:
     return float(np.mean(gains) - stats.t.ppf(0.99, gains.size - 1) * spread)
 
 
-def holds(gain: Floats, predicted: Floats) -> bool:
+def holds(gain: Floats, predicted: Floats, variance: Floats) -> bool:
     """Whether a gain in blocks that were not fitted is beyond chance.
 
     Parameters
     ----------
-    gain, predicted : ndarray, shape (blocks,)
+    gain, predicted, variance : ndarray, shape (blocks,)
         See :meth:`Design.held_out_gain`.
 
     Returns
@@ -253,21 +258,26 @@ def holds(gain: Floats, predicted: Floats) -> bool:
     bool
         If more than half of what others foretell is there, and no more than all of it, for certain: by noise,
         where the blocks agree or scatter no more than it lets them; else by their scatter, each counting by
-        what is foretold of it, as many as they come to (Kish, Survey Sampling, 1965, 8.2).
+        what it tells, as many as they come to (Kish, Survey Sampling, 1965, 8.2).
     """
-    whole = float(predicted.sum())
-    if gain.size < 2 or whole <= 0.0:
+    told = predicted**2 / np.maximum(variance, 1e-300)
+    whole, few = float(told.sum()), gain.size - 1
+    if few < 1 or whole <= 0.0:
         return False
-    share = 0.5 * (1.0 + float(gain.sum()) / whole)
-    away = 0.5 * (gain + predicted) - share * predicted
-    square, noise, few = float(away @ away), whole**-0.5, gain.size - 1
-    agreeing = float(predicted[gain < 0.0].sum()) <= DISAGREEING * whole
-    as_noise = agreeing or square <= whole * float(stats.chi2.ppf(0.99, few)) / few
-    if as_noise and _is_between(share, CERTAIN_SIZE * noise):
+    share = 0.5 * (1.0 + foretold(gain, predicted, variance) / whole)
+    away = (0.5 * (gain + predicted) - share * predicted) / np.sqrt(np.maximum(variance, 1e-300))
+    agreeing = float(told[gain < 0.0].sum()) <= DISAGREEING * whole
+    as_noise = agreeing or float(away @ away) <= float(stats.chi2.ppf(0.99, few))
+    if as_noise and _is_between(share, CERTAIN_SIZE * whole**-0.5):
         return True
-    freedom = whole**2 / float(predicted @ predicted) - 1.0
-    scatter = max(square**0.5 / whole, noise)
+    freedom = whole**2 / float(told @ told) - 1.0
+    scatter = max(float(told @ away**2) ** 0.5 / whole, whole**-0.5)
     return freedom >= 1.0 and _is_between(share, float(stats.t.ppf(0.99, freedom)) * scatter)
+
+
+def foretold(gain: Floats, predicted: Floats, variance: Floats) -> float:
+    """Gain in all blocks that were not fitted, each counting by what it tells."""
+    return float(np.sum(predicted * gain / np.maximum(variance, 1e-300)))
 
 
 def _is_between(share: float, margin: float) -> bool:
