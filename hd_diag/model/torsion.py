@@ -13,7 +13,9 @@ from hd_diag.model.mesh import Mesh, contiguous, moments
 from hd_diag.model.threads import MOMENTS, spread
 
 _BEYOND = 1.0  # both sides of zero are solved, also without torque [N m]
-_CARRIED = 0.004  # modules over squared steps of a pitch: what the gradient carries a displacement by
+# What the gradient carries a displacement by: modules over squared steps of a pitch, of each section more,
+# for these bear one after the other.
+_CARRIED = 0.004
 
 
 def warm_up(gradient: bool = False) -> None:
@@ -90,9 +92,9 @@ def torsion_along(
 
 def teeth_along(mesh: Mesh, steps: int) -> int:
     """Number of teeth at which :func:`torsion_along` solves: the more, the farther it is displaced."""
-    farthest = abs(mesh.eccentricity) + mesh.lean
-    needed = math.ceil(math.pi * farthest * steps**2 / (_CARRIED * mesh.geometry.module))
-    return min(max(needed, 1), mesh.geometry.circular_spline_teeth)
+    farthest, geometry = abs(mesh.eccentricity) + mesh.lean, mesh.geometry
+    needed = math.ceil(math.pi * farthest * steps**2 / (_CARRIED * geometry.sections * geometry.module))
+    return min(max(needed, 1), geometry.circular_spline_teeth)
 
 
 def _with_compliance(mesh: Mesh, torque: Floats, gradient: Floats) -> Floats:
