@@ -325,9 +325,10 @@ def _exchanged(now: Set, known: Instead, left: Left) -> tuple[Set | None, Instea
         for one in ranked[:_RIVALS]:
             if _kind(one.item) != itself and one.gain > least:
                 there = without.beside(one.item, one.widths).settled()
-                if there.value > now.value - _NEARLY and there.foretells(one.name):
-                    there = there.polished()
-                trials += [there] if there.sensible and there.foretells(one.name) else []
+                both = [there] if there.sensible and there.foretells(one.name) else []
+                if both and there.value > now.value - _NEARLY:
+                    both.append(there.polished())
+                trials += [there for there in both if there.sensible and there.foretells(one.name)]
         best = max(trials, key=lambda one: one.value)
         if best.value > now.value and _kinds(best.causes) not in left:
             return best, {}
@@ -438,7 +439,8 @@ def _best_of(near: Sequence[Candidate], now: Set) -> Set | None:
     trials = [(name, one) for name, one in settled if one.sensible and one.foretells(name)]
     best = max([now.value, *(one.value for _, one in trials)])
     polished = [(name, one.polished()) for name, one in trials if one.value > best - _NEARLY]
-    better = [(name, one) for name, one in polished if one.sensible and one.value > now.value]
+    # Polished, a cause may fit what blocks do not foretell: then it stays as it was.
+    better = [(name, one) for name, one in (*polished, *trials) if one.sensible and one.value > now.value]
     better.sort(key=lambda pair: -pair[1].value)
     return next((one for name, one in better if one.foretells(name)), None)
 
