@@ -242,6 +242,12 @@ def test_a_loop_that_catalogues_allow_is_usual(size: float) -> None:
     assert ("arcsec rms, usual for a gear" in told["verdict"]) is usual
 
 
+@pytest.mark.parametrize("reach", [24.0, 36.0])
+def test_a_loop_counts_as_far_as_the_record_runs_through_it(reach: float) -> None:
+    made = dataclasses.replace(loop(40.0), reach=reach * ARCSEC)
+    assert as_json(diagnosis(made), "joint_1")["causes"][0]["usual"] is (reach < 30.0)
+
+
 @pytest.mark.parametrize(("deviation", "usual"), [(0.1, False), (8.0, True)])
 def test_what_may_be_usual_by_its_deviation_asks_for_nothing(deviation: float, usual: bool) -> None:
     made = loop(33.0)

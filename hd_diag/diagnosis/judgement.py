@@ -47,7 +47,9 @@ def is_usual(cause: Cause) -> bool:
     value = float(np.linalg.norm(own, norm))
     way = np.sign(own) if norm == 1 else own / max(value, 1e-300)
     spread = math.sqrt(max(float(way @ cause.covariance[: own.size, : own.size] @ way), 0.0))
-    return value - CERTAIN_SIZE * spread <= limit
+    # A loop may be wider beyond the torques of the record than in it.
+    shown = min(1.0, cause.reach / max(value, 1e-300)) if norm == 1 else 1.0
+    return shown * (value - CERTAIN_SIZE * spread) <= limit
 
 
 class Limited(NamedTuple):

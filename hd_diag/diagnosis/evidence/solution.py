@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -39,6 +41,8 @@ class Cause:
         Of the coefficients and the nonlinear values.
     amplitude : float
         Of its part in the error [rad rms].
+    reach : float
+        Half of what its part covers, peak to peak [rad].
     standing : Standing
         How sure it is, and which causes this record cannot tell from it.
     gain, gain_low, gain_high : float
@@ -54,6 +58,7 @@ class Cause:
     gain: float = 0.0
     gain_low: float = 0.0
     gain_high: float = 0.0
+    reach: float = math.inf
 
     @property
     def alike(self) -> tuple[str, ...]:
@@ -133,8 +138,7 @@ class Solution:
         """The same causes with numbers from another fit."""
         numbers = _numbers(fit, self.chosen)
         again = tuple(
-            replace(cause, coefficients=one[0], covariance=one[1], amplitude=one[2])
-            for cause, one in zip(self.causes, numbers, strict=False)
+            replace(cause, **one._asdict()) for cause, one in zip(self.causes, numbers, strict=False)
         )
         functions = tuple(
             replace(one, coefficients=own.coefficients, rms=own.rms, largest=own.largest, at=own.at)
@@ -155,7 +159,8 @@ def solution(best: Set, standings: dict[str, Standing], rng: np.random.Generator
             share = _share(fit, chosen, index)
             low, high = interval(share, rng)
             gains = float(np.mean(share)), low, min(high, 1.0)
-            found.append(Cause(effect, nonlinear, *numbers, standings[effect.name], *gains))
+            standing = standings[effect.name]
+            found.append(Cause(effect, nonlinear, *numbers[:3], standing, *gains, reach=numbers.reach))
     causes, given = tuple(sorted(found, key=lambda cause: -cause.gain)), (*terms, *best.given)
     larger = [effect.name for effect, _ in best.remainders.items if best.widths[effect.name] > 1.0]
     return Solution(fit, causes, given, functions=_functions(fit, chosen, larger))
@@ -194,18 +199,25 @@ def _functions(fit: LinearisedFit, chosen: Chosen, larger: Collection[str]) -> t
     return tuple(found)
 
 
-def _numbers(fit: LinearisedFit, chosen: Chosen) -> list[tuple[Floats, Floats, float]]:
-    """Coefficients, covariance and amplitude of every chosen effect."""
+class _Numbers(NamedTuple):
+    """Of a cause, see :class:`Cause`."""
+
+    coefficients: Floats
+    covariance: Floats
+    amplitude: float
+    reach: float
+
+
+def _numbers(fit: LinearisedFit, chosen: Chosen) -> list[_Numbers]:
+    """Of every chosen effect; remainders have no part of their own."""
     beta, _, _ = fit.fit(chosen)
     spread, places = covariance(fit, chosen)
-    return [
-        (
-            beta[place[: effect.size]],
-            _part(spread, place),
-            0.0 if effect.standard else fit.amplitude(effect, nonlinear, beta[every]),
-        )
-        for (effect, nonlinear), place, every in zip(chosen, places, fit.places(chosen), strict=True)
-    ]
+    found = []
+    for (effect, nonlinear), place, every in zip(chosen, places, fit.places(chosen), strict=True):
+        part = np.zeros(1) if effect.standard else fit.part(effect, nonlinear, beta[every])
+        size = float(np.std(part)), 0.5 * float(np.ptp(part))
+        found.append(_Numbers(beta[place[: effect.size]], _part(spread, place), *size))
+    return found
 
 
 def parameters_of(found: Solution) -> tuple[Floats, Floats]:

@@ -258,15 +258,15 @@ class LinearisedFit:
         columns = np.concatenate((self.always(), self.joined(chosen)), axis=1)
         return np.asarray(self.residual - columns @ self.fit(chosen)[0])
 
-    def amplitude(self, effect: Effect, nonlinear: Values, coefficients: Floats) -> float:
-        """Rms of an effect's part in the error where it is fitted [rad].
+    def part(self, effect: Effect, nonlinear: Values, coefficients: Floats) -> Floats:
+        """An effect's part in the error where it is fitted [rad], (n,).
 
         Of another torque, along the whole record: most of it is near zero torque, which no fit uses.
         """
         if isinstance(effect, MeshTorque):
             beside = mesh_torques(self.data.model, self.parameters, self._motor)
-            return float(np.std(beside.beside(effect, nonlinear, coefficients)))
-        return float(np.std(self.effects.full_size(effect, nonlinear, coefficients)))
+            return beside.beside(effect, nonlinear, coefficients)
+        return self.effects.full_size(effect, nonlinear, coefficients)
 
     def fit(self, chosen: Chosen, more: Floats | None = None) -> tuple[Floats, Floats, Design]:
         """Coefficients and covariance of [model, offset, effects, more], and their normal equations.
