@@ -67,10 +67,10 @@ def torsion_along(
 ) -> tuple[Floats, Floats]:
     """As :func:`torsion_and_gradient` along many samples: solved at so many steps of some teeth's pitch only.
 
-    A tooth on, the drive is the same but for the direction in which it is displaced. Samples of other teeth
-    follow by the gradient, those between two steps straight. At a node they are exact at every torque; what
-    breaks where a pair comes into load is blurred by one step. nan where no flank can bear the torques about
-    a node.
+    A tooth on, the drive is the same except for the direction in which it is displaced. Samples of other
+    teeth follow by the gradient, those between two steps straight. At a node they are exact at every torque;
+    what breaks where a pair comes into load is blurred by one step. nan where no flank can bear the torques
+    about a node.
     """
     teeth, solved = mesh.geometry.circular_spline_teeth, teeth_along(mesh, steps)
     pitch, first = 2.0 * np.pi / teeth, (2 * np.arange(solved) + 1) * teeth // (2 * solved)
