@@ -382,6 +382,16 @@ def test_a_sender_that_is_held_up_and_catches_up_has_lost_nothing(life: Life, lo
     assert 0.8 * len(lost) <= life.missed(np.delete(stamps, list(lost))) <= len(lost)
 
 
+@pytest.mark.parametrize("before", [0, 1000], ids=["from the start", "afterwards"])
+def test_a_sender_that_sends_in_bursts_has_lost_nothing(life: Life, before: int) -> None:
+    """A hundred samples within 2 ms, every 100 ms: the step within a burst is no period."""
+    number = np.arange(1000)
+    assert life.missed(START + np.arange(before) * MS) == 0
+    late = START + (before + 100 + number // 100 * 100) * MS + number % 100 * 20_000
+    assert life.missed(late) <= 100  # those of the first delay
+    assert life.missed(np.delete(late + 1000 * MS, slice(300, 500))) <= 330  # 200 more are lost
+
+
 def test_what_is_made_up_for_after_a_report_was_not_lost(life: Life) -> None:
     """A sender is held up for 40 periods at the end of a report's time, and then sends them at once."""
     assert life.missed(START + np.append(np.arange(961), 1000) * MS) == 39

@@ -23,6 +23,8 @@ _KEPT = 0.02  # relative spread of the steps of a periodic sender [-]
 _OFF_MULTIPLE = 0.25  # allowed difference of a step from whole periods [-]
 _TURN = 2.0 * math.pi + 1e-6  # of an encoder that wraps [rad]
 _SAME = 0.9  # share of steps that are alike: the period is another now
+_SHORT = 0.5  # of a period, below which a step makes up for a delay
+_IN_BURSTS = 8.0  # times the usual step, that the mean one is only where samples come in bursts
 
 
 class Window(NamedTuple):
@@ -71,15 +73,19 @@ class LostSamples:
             missing = np.sum(np.rint(steps[steps > 1.5 * usual] / usual) - 1.0)
             net = int(np.rint(np.sum(steps) / usual)) - steps.size
             count = max(0, min(int(missing), net) - rejected)
-            self.count += count - min(self.lately, max(0, -net), int(np.sum(steps < 0.5 * usual)))
+            self.count += count - min(self.lately, max(0, -net), int(np.sum(steps < _SHORT * usual)))
             self.lately = count
 
 
 def _known_step(steps: Floats, known: float) -> float:
     """The period known so far [ns], where a reader that falls behind lets samples of it through; else 0.
 
-    Then most samples may be lost: nearly all steps are multiples of the period, and not all the same.
+    Then most samples may be lost: nearly all steps are multiples of the period, and not all the same. Where a
+    sender that is held up sends what it has at once, most steps are short, and the mean is as it was.
     """
+    in_bursts = 2 * np.sum(steps < _SHORT * known) > steps.size
+    if known > 0.0 and in_bursts and float(np.mean(steps)) > _SHORT * known:
+        return known
     if known <= 0.0 or 2 * np.sum(steps > 1.5 * known) <= steps.size:
         return 0.0
     multiples = np.rint(steps / known)
@@ -98,6 +104,9 @@ def _usual_step(steps: Floats) -> float:
     # With many losses there is one in most spans; where the sender keeps its period a single step tells it.
     single = _median(steps)
     is_kept = np.sum(np.abs(steps - single) < _KEPT * single) > 0.5 * steps.size
+    mean = float(np.mean(steps))
+    if mean > _IN_BURSTS * usual:
+        return mean
     return float(single if is_kept and single > 0.5 * usual else usual)
 
 

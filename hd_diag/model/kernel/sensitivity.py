@@ -80,7 +80,7 @@ def to_housing(gradient: Floats, count: int, turned: complex) -> None:
 @inline
 def carried(gradient: Floats, count: int, displacement: complex, tilt: complex) -> float:
     """Change of the torsion by one of the displacement and the tilt in the wave generator's frame."""
-    change = gradient[0] * displacement.real + gradient[1] * displacement.imag
+    change: float = gradient[0] * displacement.real + gradient[1] * displacement.imag
     if count > 3:
         change += gradient[3] * tilt.real + gradient[4] * tilt.imag
     return change
