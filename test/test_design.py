@@ -212,7 +212,9 @@ def test_blocks_count_by_what_is_foretold_of_them() -> None:
     turned = np.where(foretold == 136.0, -gain, gain)
     assert not holds(turned, foretold, foretold)
     # Where others leave open what that block is like it says little.
-    assert holds(turned, foretold, np.where(foretold == 136.0, 100.0, 1.0) * foretold)
+    open_there = np.where(foretold == 136.0, 100.0, 1.0) * foretold
+    assert holds(turned, foretold, open_there)
+    assert not holds(turned - np.where(foretold == 136.0, 200.0, 0.0), foretold, open_there)
 
 
 def test_inverse_of_columns_of_any_scale() -> None:

@@ -258,11 +258,12 @@ def holds(gain: Floats, predicted: Floats, variance: Floats) -> bool:
     bool
         If more than half of what others foretell is there, and no more than all of it, for certain: by noise,
         where the blocks agree or scatter no more than it lets them; else by their scatter, each counting by
-        what it tells, as many as they come to (Kish, Survey Sampling, 1965, 8.2).
+        what it tells, as many as they come to (Kish, Survey Sampling, 1965, 8.2). All blocks together must
+        gain, also those of which the others leave much open.
     """
     told = predicted**2 / np.maximum(variance, 1e-300)
     whole, few = float(told.sum()), gain.size - 1
-    if few < 1 or whole <= 0.0:
+    if few < 1 or whole <= 0.0 or float(gain.sum()) <= 0.0:
         return False
     share = 0.5 * (1.0 + foretold(gain, predicted, variance) / whole)
     away = (0.5 * (gain + predicted) - share * predicted) / np.sqrt(np.maximum(variance, 1e-300))
