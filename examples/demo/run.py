@@ -210,7 +210,8 @@ def _change_eccentricity(
             if steps[-1].take(report) and time.monotonic() >= shown:
                 shown = time.monotonic() + _LINE_PERIOD
                 _say(table([Step(eccentricity, [report])])[-1])
-            if steps[-1].residuals and time.monotonic() >= end:
+            # In the window of one report the joint may stand, and its residual be noise at any eccentricity.
+            if len(steps[-1].residuals) > 1 and time.monotonic() >= end:
                 break
         for child in children:
             child.check_running()
