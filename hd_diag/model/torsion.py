@@ -13,8 +13,8 @@ from hd_diag.model.mesh import Mesh, contiguous, moments
 from hd_diag.model.threads import MOMENTS, spread
 
 _BEYOND = 1.0  # both sides of zero are solved, also without torque [N m]
-# What the gradient carries a displacement by: modules over squared steps of a pitch, of each section more,
-# for these bear one after the other.
+# What the gradient carries a displacement by, in modules: over the squared steps of a pitch, as both errors
+# go with the square; times the sections, which bear one after the other. Costs 0.02 arcsec at ratio 100.
 _CARRIED = 0.004
 
 

@@ -24,7 +24,7 @@ _OFF_MULTIPLE = 0.25  # allowed difference of a step from whole periods [-]
 _TURN = 2.0 * math.pi + 1e-6  # of an encoder that wraps [rad]
 _SAME = 0.9  # share of steps that are alike: the period is another now
 _SHORT = 0.5  # of a period, below which a step makes up for a delay
-_IN_BURSTS = 8.0  # times the usual step, that the mean one is only where samples come in bursts
+_IN_BURSTS = 8.0  # times the usual step, that the mean one is only in bursts: a reader loses less than 7 of 8
 
 
 class Window(NamedTuple):

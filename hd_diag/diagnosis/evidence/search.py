@@ -325,10 +325,12 @@ def _exchanged(now: Set, known: Instead, left: Left) -> tuple[Set | None, Instea
         for one in ranked[:_RIVALS]:
             if _kind(one.item) != itself and one.gain > least:
                 there = without.beside(one.item, one.widths).settled()
-                both = [there] if there.sensible and there.foretells(one.name) else []
-                if both and there.value > now.value - _NEARLY:
-                    both.append(there.polished())
-                trials += [there for there in both if there.sensible and there.foretells(one.name)]
+                if not (there.sensible and there.foretells(one.name)):
+                    continue
+                trials.append(there)
+                if there.value > now.value - _NEARLY:
+                    better = there.polished()
+                    trials += [better] if better.sensible and better.foretells(one.name) else []
         best = max(trials, key=lambda one: one.value)
         if best.value > now.value and _kinds(best.causes) not in left:
             return best, {}

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.calibration import LEAST_SIZE
 from hd_diag.diagnosis.evidence.unmodelled_terms import InputLine, OutputLine
-from hd_diag.diagnosis.fit.design import f_test, holds, orthonormal, projection
+from hd_diag.diagnosis.fit.design import design, f_test, holds, orthonormal, projection
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.noise import Whitening, whitening
 from hd_diag.effects.effect import Effect
@@ -167,7 +167,7 @@ def strongest(rest: Remainder) -> Wave | None:
     small = float(np.std(projection(pair, residual))) < LEAST_SIZE
     if small or tests * _chance(rest, pair, whiten) > _CHANCE:
         return None
-    gain, predicted, variance = _block_gains(rest, pair, whiten)
+    gain, predicted, variance = design(whiten(pair, rest.run), white, rest.block).held_out_gain(slice(0, 2))
     if not holds(gain, predicted, variance) and gain.sum() < _CONFIRMED * predicted.sum():
         return None
     return every[best]
@@ -207,21 +207,6 @@ def _speeds(speed: Floats) -> list[tuple[Rows, str]]:
             if edges[1] < _UNLIKE * edges[2] and float(np.mean(inside)) > _LEAST_PART:
                 bands.append((inside, f"{way} at {low:.2g} to {high:.2g} turns/s of the input".strip()))
     return [*(one for one in found if one[1]), *bands]
-
-
-def _block_gains(rest: Remainder, pair: Floats, whiten: Whitening) -> tuple[Floats, Floats, Floats]:
-    """Fall of the sum of squares in each block by a wave fitted to all others; see `Design.held_out_gain`."""
-    white = whiten(np.column_stack((pair, rest.residual)), rest.run)
-    parts = [white[rest.block == block] for block in range(int(rest.block[-1]) + 1)]
-    grams = np.stack([part.T @ part for part in parts])
-    own, products = grams[:, :2, :2], grams[:, :2, 2]
-    others = own.sum(axis=0) - own
-    spread = np.linalg.pinv(others)
-    found = spread @ (products.sum(axis=0) - products)[..., None]
-    along = own @ found
-    predicted = (np.swapaxes(found, 1, 2) @ along)[:, 0, 0]
-    variance = predicted + (np.swapaxes(along, 1, 2) @ spread @ along)[:, 0, 0]
-    return 2.0 * np.sum(products * found[..., 0], axis=1) - predicted, predicted, variance
 
 
 def _peak(phase: Floats, residual: Floats) -> tuple[float, float] | None:
