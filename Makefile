@@ -55,7 +55,7 @@ test-all: SELECTED =
 
 # Both at once: pip works on one core, and what fails of the second is told where it is used.
 environments:
-	@python=$$(sh scripts/find_python.sh '$(PYTHON)') && \
+	@python=$$(sh scripts/find_python.sh '$(PYTHON)' .venv/test) && \
 	if "$$python" -c 'import sys; sys.exit(sys.version_info >= (3, 13))'; then \
 	    mkdir -p .venv && { $(ENVIRONMENT) ubuntu "$$python" 2>/dev/null & } && $(ENVIRONMENT) test "$$python"; \
 	    ended=$$?; wait; exit $$ended; \
@@ -96,7 +96,7 @@ pytest: install
 NUMERICAL = contact design drive effects evidence extended_model fit_parameters joint_refinement \
        linearised_fit load_sharing monitor noise refit remainders smoothing torsion torsion_map
 pytest-ubuntu:
-	@python=$$(sh scripts/find_python.sh '$(PYTHON)') && \
+	@python=$$(sh scripts/find_python.sh '$(PYTHON)' .venv/test) && \
 	if "$$python" -c 'import sys; sys.exit(sys.version_info < (3, 13))'; then \
 	    echo "== SKIPPED tests with numpy 1.26 and scipy 1.11: they have no wheels for $$("$$python" -V);" \
 	         "run make test with a Python 3.10 to 3.12"; \

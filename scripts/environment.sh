@@ -68,11 +68,11 @@ compile_kernels() {
     wait "$first" || fail "the kernels could not be compiled"
 }
 
-python=$(sh scripts/find_python.sh "${2:-}")
+python=$(sh scripts/find_python.sh "${2:-}" "$env")
 mkdir -p .venv
 touch .venv/COLCON_IGNORE # colcon must not look for packages in there
 
-# Environments cannot be moved, so the folder is part of the stamp.
+# Environments cannot be moved, so the folder is part of the stamp. find_python.sh reads the Python behind it.
 lock_stamp="$PWD $python $("$python" -V) $(cat requirements/"$name"*.txt | cksum)"
 if [ "$(cat "$env/lock.stamp" 2>/dev/null)" != "$lock_stamp" ]; then
     install_lock

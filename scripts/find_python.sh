@@ -1,6 +1,7 @@
 #!/bin/sh
 # Prints the path of a CPython 3.10-3.13 that can make virtual environments; says what was found where none is.
-# usage: find_python.sh [PYTHON]
+# Without a named one, the Python that made the environment is tried first: so that it need not be made again.
+# usage: find_python.sh [PYTHON [ENVIRONMENT]]
 set -eu
 
 probe='
@@ -20,10 +21,11 @@ inside = sys.prefix != sys.base_prefix
 print(os.path.join(sys.base_prefix, "bin", "python%d.%d" % sys.version_info[:2]) if inside else sys.executable)
 '
 
+maker=$(cut -d ' ' -f 2 "${2:-}/lock.stamp" 2>/dev/null) || maker=
 newline='
 '
 found=
-for candidate in ${1:-python3.12 python3.11 python3.10 python3.13 python3 python}; do
+for candidate in ${1:-$maker python3.12 python3.11 python3.10 python3.13 python3 python}; do
     # A pyenv shim exists on the PATH and yet fails with 127: only running a candidate tells.
     if answer=$("$candidate" -c "$probe" 2>&1); then
         echo "$answer"

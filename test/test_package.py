@@ -172,14 +172,28 @@ def test_make_works_on_a_copy_of_a_tree_that_is_read_only() -> None:
         tree.chmod(0o755)
 
 
+def find_python(*words: object, path: Path | None = None) -> Path:
+    """What scripts/find_python.sh prints, with a folder before the others on the PATH."""
+    env = {**os.environ, "PATH": os.pathsep.join([*([str(path)] if path else []), os.environ["PATH"]])}
+    command = ["sh", str(ROOT / "scripts" / "find_python.sh"), *map(str, words)]
+    run = subprocess.run(command, env=env, capture_output=True, text=True, timeout=60)
+    assert (run.returncode, run.stderr) == (0, "")
+    return Path(run.stdout.strip())
+
+
 def test_no_environment_is_made_with_one_that_is_active(tmp_path: Path) -> None:
     """It may be the very one that is made anew."""
     venv.create(tmp_path / "active", with_pip=False)
     own = tmp_path / "active" / "bin"
-    inside = {**os.environ, "PATH": f"{own}{os.pathsep}{os.environ['PATH']}"}
-    command = ["sh", str(ROOT / "scripts" / "find_python.sh"), str(own / "python")]
-    run = subprocess.run(command, env=inside, capture_output=True, text=True, timeout=60)
-    assert (run.returncode, run.stderr) == (0, "")
-    found = Path(run.stdout.strip())
+    found = find_python(own / "python", path=own)
     assert not found.is_relative_to(tmp_path)
     assert found.exists()
+
+
+def test_an_environment_keeps_its_python_unless_another_is_named(tmp_path: Path) -> None:
+    base, other = find_python(), tmp_path / "other"
+    other.symlink_to(base)
+    stamp = tmp_path / "lock.stamp"
+    for maker, named, expected in ((other, "", other), (tmp_path / "gone", "", base), (other, base, base)):
+        stamp.write_text(f"/tree {maker} Python 3 1 2\n")
+        assert find_python(named, tmp_path) == expected
