@@ -11,6 +11,12 @@ from hd_diag.config.configuration import dump, resolve
 
 progress._PERIOD = 1e6  # [s]; a slow machine adds no lines of progress to what tests compare
 
+ASSUMED = (
+    "hd-diag: joint_1: without --config this is taken for the example drive, ratio 100, rated torque 56 N m; "
+    "hd-diag gear writes a file for yours\n"
+)
+"""Last line of stderr where a record was judged without a configuration."""
+
 
 def runner() -> CliRunner:
     """A runner whose results have a stderr of their own: click before 8.2 mixes unless told not to."""

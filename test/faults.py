@@ -44,7 +44,7 @@ COMMANDS: dict[str, dict[str, str]] = {
         f"{FLEET} --figure f.xyz": "f.xyz: the name must end with .png or .svg or .pdf",
         f"{FLEET} --out f.csv": "f.csv: the name must end with .parquet",
         f"{FLEET} --scheduler tcp://127.0.0.1:9": "with --scheduler its workers set them",
-        "report a.mcap --columns time=t": "needs input, output",
+        "report a.mcap --columns time=t": "need input, output",
         "replay a.mcap --out out.mcap": "is no log of the node, so a configuration is needed (--config)",
     },
     "Values": {

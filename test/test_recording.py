@@ -365,7 +365,7 @@ def test_empty_cells_are_missing_values(given: dict[str, np.ndarray], tmp_path: 
         (
             None,
             {"time": "t", "input": "motor"},
-            "--columns needs output: one angle has no transmission error; ",
+            "columns need output: one angle has no transmission error; ",
         ),
         (
             None,
@@ -374,8 +374,8 @@ def test_empty_cells_are_missing_values(given: dict[str, np.ndarray], tmp_path: 
         ),
         (None, {"time": "t", "output": "link"}, "; for hd-diag ripple a torque or a current"),
         (None, {"output": "link", "torque": "tau"}, "; what the torque shows: hd-diag ripple"),
-        (None, {"torque": "tau"}, "--columns needs time (or --rate), input, output"),
-        (None, {"input": "t", "output": "motor"}, "--columns needs time (or --rate)"),
+        (None, {"torque": "tau"}, "columns need time (or a rate), input, output"),
+        (None, {"input": "t", "output": "motor"}, "columns need time (or a rate)"),
         (
             "t,motor,link,tau\n",
             {**COLUMNS, "input": "motor[mm]"},
@@ -383,7 +383,7 @@ def test_empty_cells_are_missing_values(given: dict[str, np.ndarray], tmp_path: 
         ),
         ("t,motor,link,tau\n", {**COLUMNS, "output": "link[rpm]"}, "'rpm' is not a unit of output"),
         ("t,motor,link,tau\n", {**COLUMNS, "input": "motor*x"}, "has no column 'motor*x'"),
-        (None, {**COLUMNS, "speed": "v"}, "--columns does not know 'speed'"),
+        (None, {**COLUMNS, "speed": "v"}, "columns cannot be 'speed'"),
     ],
 )
 def test_a_bad_table_is_told_in_one_line(

@@ -169,7 +169,9 @@ def test_a_time_in_another_unit_is_asked_about(
 ) -> None:
     path = tmp_path / "a.csv"
     path.write_text("\n".join(["t,m,l,tau", *rows({**given, "time": factor * given["time"]}, ",")]))
-    with pytest.raises(RecordError, match=rf"Hz\): is the time in {unit}\?.* write time=t\[{unit}\] in"):
+    with pytest.raises(
+        RecordError, match=rf"Hz\): is the time in {unit}\?.* give the column as time=t\[{unit}\],"
+    ):
         read([path], Table(NAMED), joint())
     check(path, Table({**NAMED, "time": f"t[{unit}]"}))
     read([path], Table({**NAMED, "time": "t[s]"}), joint())  # if it is so

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hd_diag.cli.joints import chosen_joints, configured
+from hd_diag.cli.joints import chosen_joints, configured, tell_assumed
 from hd_diag.cli.lines import show_table, tell
 from hd_diag.cli.options import check_files
 from hd_diag.cli.progress import Advance, showing
@@ -53,6 +53,7 @@ def fleet(bags: tuple[Path, ...], config_file: str | None, names: tuple[str, ...
         raise Problem(str(error)) from error
     if given["json_file"] != "-":
         _show(health, given)
+    tell_assumed(config_file, config)
     return _code(health, given)
 
 

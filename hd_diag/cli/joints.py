@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hd_diag.cli.lines import tell
 from hd_diag.cli.options import check_files
 from hd_diag.cli.targets import Problem
 from hd_diag.config.configuration import Config, JointConfig, load, resolve
@@ -23,6 +24,18 @@ def configured(config_file: str | None, catalogue: Catalogue | None = None, teet
     config = load(config_file, catalogue, teeth)
     check_files(inputs=[Path(joint.model_file) for joint in config.joints if joint.model_file])
     return config
+
+
+def tell_assumed(config_file: str | None, config: Config) -> None:
+    """Say which drive a record was compared with where no file said it."""
+    if not config_file:
+        (joint,) = config.joints
+        drive = f"ratio {joint.drive.frame.ratio:g}, rated torque {joint.drive.rated_torque:g} N m"
+        tell(
+            f"hd-diag: {joint.name}: without --config this is taken for the example drive, {drive}; "
+            "hd-diag gear writes a file for yours",
+            err=True,
+        )
 
 
 def chosen_joint(config: Config, name: str | None) -> JointConfig:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from hd_diag.cli.joints import chosen_joints, configured
+from hd_diag.cli.joints import chosen_joints, configured, tell_assumed
 from hd_diag.cli.lines import tell
 from hd_diag.cli.progress import Advance
 from hd_diag.cli.targets import Problem, write_json, writing
@@ -135,7 +135,9 @@ def on_records(function: Callable[..., int], teeth: bool = True) -> Callable[...
         config = configured(config_file, catalogue, teeth and not own.get("orders_only"))
         joints = chosen_joints(config, names)
         table = None if columns is None else table_of(columns, divided, rate or 0.0, delimiter)
-        return function(Records(bags, config, joints, table, catalogue, time_limit), **own)
+        code = function(Records(bags, config, joints, table, catalogue, time_limit), **own)
+        tell_assumed(config_file, config)
+        return code
 
     return run
 

@@ -93,7 +93,7 @@ def _check_both(table: Table) -> None:
         else "for hd-diag ripple a torque or a current"
     )
     raise RecordError(
-        f"--columns needs {missing}: one angle has no transmission error; the robot's driver would have to "
+        f"columns need {missing}: one angle has no transmission error; the robot's driver would have to "
         f"publish {publish if missing == 'input' else 'the angle of the link'}; {ripple}"
     )
 
@@ -132,9 +132,9 @@ def columns_of(
     missing = [name for name in needed if name not in given and not (name == "time" and table.rate)]
     unknown = [name for name in given if name not in (*COLUMNS, "record")]
     if missing or unknown:
-        names = ["time (or --rate)" if name == "time" else name for name in missing]
-        what = f"needs {', '.join(names)}" if missing else f"does not know {unknown[0]!r}"
-        raise RecordError(f"--columns {what}; it takes {', '.join(COLUMNS)} and record")
+        names = ["time (or a rate)" if name == "time" else name for name in missing]
+        what = f"need {', '.join(names)}" if missing else f"cannot be {unknown[0]!r}"
+        raise RecordError(f"columns {what}; they can be {', '.join(COLUMNS)} and record")
     usual = _USUAL | ({"input": "rad/s"} if joint.signals.is_velocity else {})
     files, stamps = [], Stamps()
     for path in paths:
@@ -178,7 +178,7 @@ def _check_clock(table: Table, found: Mapping[str, Floats], ratio: float) -> Non
     if question := doubtful_clock(found["time"], found["record"].astype(np.int64), angle):
         text, likely = question
         raise RecordError(
-            f"{text}: write time={name}[{likely}] in --columns, or time={name}[s] if it is right"
+            f"{text}: give the column as time={name}[{likely}], or as time={name}[s] if it is right"
         )
 
 

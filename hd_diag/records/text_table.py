@@ -154,7 +154,7 @@ def _encoding(path: Path) -> str:
             return encoding
     if 0 in head:
         what = "a spreadsheet or an archive" if head.startswith(b"PK") else "no text"
-        raise RecordError(f"{path}: is {what}: save the table as CSV; a bag takes no --columns")
+        raise RecordError(f"{path}: is {what}: save the table as CSV; a bag takes no columns")
     return "utf-8"
 
 
