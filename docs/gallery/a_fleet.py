@@ -10,7 +10,7 @@ import pyarrow.parquet as parquet
 DAY = 86_400
 Path("bags").mkdir(exist_ok=True)
 for day, size in enumerate((6, 9, 12)):
-    made = ["--eccentricity-um", str(size), "--duration", "10", "--angle-noise-arcsec", "0.5"]
+    made = ["--eccentricity-um", str(size), "--duration", "60", "--rate", "50", "--angle-noise-arcsec", "0.5"]
     stamp = ["--start-time", str(1.767e9 + day * DAY), "--seed", str(day)]
     command = ["hd-diag", "simulate", *made, *stamp, "--out", f"bags/{day}.mcap", "--overwrite"]
     subprocess.run(command, check=True)

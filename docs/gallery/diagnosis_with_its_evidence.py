@@ -2,7 +2,6 @@
 
 import subprocess
 import textwrap
-from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -10,13 +9,11 @@ import numpy as np
 import hd_diag
 
 ARCSEC = np.pi / 180 / 3600
-Path("elbow.yaml").unlink(missing_ok=True)
-made = ["--eccentricity-um", "12", "--duration", "20", "--angle-noise-arcsec", "0.5", "--out", "elbow.mcap"]
-subprocess.run(["hd-diag", "gear", "CSG-25-100", "--joint", "elbow", "--out", "elbow.yaml"], check=True)
-subprocess.run(["hd-diag", "simulate", "--config", "elbow.yaml", *made, "--overwrite"], check=True)
+made = ["--eccentricity-um", "12", "--duration", "60", "--rate", "100", "--angle-noise-arcsec", "0.5"]
+subprocess.run(["hd-diag", "simulate", *made, "--out", "joint.mcap", "--overwrite"], check=True)
 
-elbow = hd_diag.load("elbow.yaml")["elbow"]
-answer = hd_diag.verdict(hd_diag.diagnose(hd_diag.read("elbow.mcap", elbow), elbow.drive), "elbow")
+drive = hd_diag.gear()  # the example drive, as it should be: without eccentricity
+answer = hd_diag.verdict(hd_diag.diagnose(hd_diag.read("joint.mcap", "joint_1"), drive))
 
 left = {"as configured": "nominal", "refitted": "refit", "with causes": "extended", "noise": "noise_floor"}
 figure, axes = plt.subplots(figsize=(7, 3), layout="constrained")

@@ -9,7 +9,7 @@ from hd_diag.tolerance.limit import frontier, largest_eccentricity
 drive = hd_diag.gear("CSG-25-100")
 limits = {"interference": 14e-6, "overlap": 43e-6, "peak_tooth_load": 78.0}  # [m], [m], [N]
 largest, torque = largest_eccentricity(drive), drive.rated_torque
-rays = [frontier(drive, torque, limits, largest, share) for share in np.linspace(-1.0, 1.0, 25)]
+rays = [frontier(drive, torque, limits, largest, share) for share in np.linspace(-1.0, 1.0, 13)]
 
 figure, axes = plt.subplots(figsize=(7, 3), layout="constrained")
 for name in limits:

@@ -5,7 +5,7 @@ import subprocess
 
 import matplotlib.pyplot as plt
 
-command = ["hd-diag", "tolerance", "--samples", "200", "--sensitivity-samples", "0", "--json", "-"]
+command = ["hd-diag", "tolerance", "--samples", "100", "--sensitivity-samples", "0", "--json", "-"]
 found = json.loads(subprocess.run(command, capture_output=True, check=True).stdout)
 drawn = found["assemblies"]
 tolerance = [1e6 * size for size in drawn["tolerances"]]
