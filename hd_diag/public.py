@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -87,7 +88,7 @@ def mesh_state(drive: Drive, angle: npt.ArrayLike, torque: npt.ArrayLike) -> Mes
         That turns the cup counter-clockwise [N m]: for one that the drive exerts on the link,
         ``drive.frame.cup_torque(torque)``.
     """
-    return core.mesh_state(drive, *_moments(angle, torque))
+    return core.mesh_state(_checked(drive), *_moments(angle, torque))
 
 
 def transmission_error(drive: Drive, angle: npt.ArrayLike, torque: npt.ArrayLike) -> Floats:
@@ -95,7 +96,7 @@ def transmission_error(drive: Drive, angle: npt.ArrayLike, torque: npt.ArrayLike
 
     At input angles as reported [rad] and torques that the drive exerts on the link [N m], floats or arrays.
     """
-    return core.transmission_error(drive, *_moments(angle, torque))
+    return core.transmission_error(_checked(drive), *_moments(angle, torque))
 
 
 def read(
@@ -135,7 +136,7 @@ def read(
         for table in filter(is_table, map(Path, paths)):
             raise RecordError(
                 f'{table}: a table needs columns, as {{"time": "t", "input": "m[deg]", "output": "l[deg]"}}; '
-                f"hd-diag topics {table} proposes some"
+                f"hd-diag topics {shlex.quote(str(table))} proposes some"
             )
         return read_bags(paths, joint)
     return read_tables(paths, Table(columns, rate=rate), joint)
@@ -146,7 +147,9 @@ def diagnose(record: Record, drive: Drive, seed: int = 0) -> Diagnosis:
 
     The same seed gives the same numbers. It takes some seconds, and a minute the first time on a machine.
     """
-    looked = screened(record, drive)
+    if not isinstance(record, Record):
+        raise TypeError(f"diagnose takes a record of hd_diag.read, not {type(record).__name__}")
+    looked = screened(record, _checked(drive))
     warm_up()
     return offline.diagnose(looked, drive, np.random.default_rng(seed))
 
@@ -154,6 +157,13 @@ def diagnose(record: Record, drive: Drive, seed: int = 0) -> Diagnosis:
 def verdict(diagnosis: Diagnosis, joint: str = "joint_1") -> dict[str, Any]:
     """What ``hd-diag diagnose --json`` writes: ``verdict`` is the sentence, ``causes`` the list; SI."""
     return as_json(diagnosis, joint)
+
+
+def _checked(drive: Drive) -> Drive:
+    if not isinstance(drive, Drive):
+        kind = type(drive).__name__
+        raise TypeError(f'expected a drive, as load(file)["elbow"].drive or gear(name), not {kind}')
+    return drive
 
 
 def _moments(angle: npt.ArrayLike, torque: npt.ArrayLike) -> tuple[Floats, Floats]:

@@ -93,6 +93,14 @@ def test_a_joint_is_given_by_its_name_too_and_all_of_a_file_are_not_one(folder: 
     np.testing.assert_array_equal(named.output_angle, whole.output_angle)
     with pytest.raises(TypeError, match=r'one joint, as load\(file\)\["elbow"\] or "elbow", not all'):
         hd_diag.read(folder / "elbow.mcap", joints)
+    joint = joints["elbow"]
+    for drive in (joints, joint, "elbow"):
+        with pytest.raises(TypeError, match=r'as load\(file\)\["elbow"\]\.drive or gear\(name\), not '):
+            hd_diag.mesh_state(drive, 0.0, 1.0)
+        with pytest.raises(TypeError, match="expected a drive"):
+            hd_diag.diagnose(whole, drive)
+    with pytest.raises(TypeError, match=r"a record of hd_diag\.read, not str"):
+        hd_diag.diagnose("elbow.mcap", joint.drive)
 
 
 def test_importing_it_loads_nothing_and_its_names_are_typed_and_told() -> None:

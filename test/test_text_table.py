@@ -242,6 +242,8 @@ def test_columns_are_guessed_and_the_guess_is_taken(
     asked = hd_diag("diagnose", path)
     assert (asked.exit_code, asked.stdout) == (2, result.stdout)
     assert asked.stderr.endswith(f"needs --columns, such as: {line}\n")
+    of_report = line.replace("diagnose", "report", 1)
+    assert hd_diag("report", path).stderr.endswith(f"needs --columns, such as: {of_report}\n")
     taken = dict(pair.split("=", 1) for pair in guess.split(","))
     if "torque" not in taken:
         taken["torque"] = "4"

@@ -126,7 +126,7 @@ def on_records(function: Callable[..., int], teeth: bool = True) -> Callable[...
     ) -> int:
         for path in bags if columns is None else ():
             if is_table(path):
-                tell_contents(found := of_table(path))
+                tell_contents(found := of_table(path, function.__name__))
                 more = (
                     f", such as: {found['mapping']}" if found["mapping"] else " time=...,input=...,output=..."
                 )

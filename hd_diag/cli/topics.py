@@ -44,8 +44,8 @@ def topics(bag: Path, urdf: Path | None, config_file: str | None, json_file: str
         tell_contents(result)
 
 
-def of_table(path: Path) -> dict[str, Any]:
-    """What a table holds, and the command that takes it; a Problem where it is none."""
+def of_table(path: Path, verb: str = "diagnose") -> dict[str, Any]:
+    """What a table holds, and the verb's command that takes it; a Problem where it is none."""
     try:
         found = table_columns(path)
     except RecordError as error:
@@ -59,31 +59,22 @@ def of_table(path: Path) -> dict[str, Any]:
     joints = result["joints"]
     first = next((joint for joint in joints if "input.field" in joint["mapping"]), next(iter(joints), None))
     return result | {
-        "mapping": _command(path, found, first["mapping"]) if first else "",
+        "mapping": _command(path, found, first["mapping"], verb) if first else "",
         "time": found.time_name,
     }
 
 
-def _command(path: Path, found: TableColumns, mapping: dict[str, Any]) -> str:
-    """The command that diagnoses a table, or shows its ripple where there is one angle."""
+def _command(path: Path, found: TableColumns, mapping: dict[str, Any], verb: str) -> str:
+    """The verb's command for a table, or that of ``ripple`` where there is one angle."""
     columns = {"time": found.time_name} if found.time_name else {}
     for role, owner in OWNERS.items():
         if name := mapping.get(f"{owner}.field"):
             unit = mapping.get(f"{owner}.unit", "")
-            columns[role] = (
-                name
-                + (f"[{unit}]" if unit and not name.endswith("]") else "")
-                + ("*1" if unit in ("A", "mA") else "")
-            )
+            shown = f"[{unit}]" if unit and not name.endswith("]") else ""
+            columns[role] = name + shown + ("*1" if unit in ("A", "mA") else "")
     columns |= {"record": found.record_name} if found.record_name else {}
-    verb = "diagnose" if "input" in columns else "ripple"
-    words = [
-        "hd-diag",
-        verb,
-        str(path),
-        "--columns",
-        ",".join(f"{key}={name}" for key, name in columns.items()),
-    ]
+    pairs_given = ",".join(f"{key}={name}" for key, name in columns.items())
+    words = ["hd-diag", verb if "input" in columns else "ripple", str(path), "--columns", pairs_given]
     words += ["--input-divided"] if mapping.get("input_divided") else []
     words += [] if found.time_name else ["--rate", "HZ"]
     return shlex.join(words)
@@ -237,10 +228,8 @@ def _joint(output: NumericField, pair: AnglePair | None, every: list[NumericFiel
             whole = 2.0 * np.pi * abs(pair.slope)
             said = f"{whole:.6g} counts of the input to a turn of the output: put that over the ratio for '?'"
     elif pair.divided:
-        mapping["input_divided"], said = (
-            True,
-            "two encoders at the output's side; the ratio is the catalogue's",
-        )
+        mapping["input_divided"] = True
+        said = "two encoders at the output's side; the ratio is the catalogue's"
     else:
         said = f"the input turns {pair.slope:.4g} times as far as the output: a ratio of {round(pair.slope)}?"
     torque, warm = beside(every, output, *_TORQUES), beside(every, output, "temperature")

@@ -81,8 +81,9 @@ def read_tables(paths: Sequence[str | Path], table: Table, joint: JointConfig) -
 
 
 def _check_both(table: Table) -> None:
-    """Raise RecordError if only one angle is given, saying what could be done with it."""
+    """Raise RecordError for columns that are not known, and for one angle: what could be done with it."""
     given = table.columns
+    _check_known(given)
     if ("input" in given) == ("output" in given):
         return
     missing = "output" if "input" in given else "input"
@@ -96,6 +97,11 @@ def _check_both(table: Table) -> None:
         f"columns need {missing}: one angle has no transmission error; the robot's driver would have to "
         f"publish {publish if missing == 'input' else 'the angle of the link'}; {ripple}"
     )
+
+
+def _check_known(given: Mapping[str, str]) -> None:
+    if unknown := [name for name in given if name not in (*COLUMNS, "record")]:
+        raise RecordError(f"columns cannot be {unknown[0]!r}; they can be {', '.join(COLUMNS)} and record")
 
 
 def read_table_motion(paths: Sequence[str | Path], table: Table, joint: JointConfig) -> InputRecord:
@@ -129,12 +135,10 @@ def columns_of(
     where that was given. RecordError where one that is needed is not there.
     """
     given = dict(table.columns)
-    missing = [name for name in needed if name not in given and not (name == "time" and table.rate)]
-    unknown = [name for name in given if name not in (*COLUMNS, "record")]
-    if missing or unknown:
+    _check_known(given)
+    if missing := [name for name in needed if name not in given and not (name == "time" and table.rate)]:
         names = ["time (or a rate)" if name == "time" else name for name in missing]
-        what = f"need {', '.join(names)}" if missing else f"cannot be {unknown[0]!r}"
-        raise RecordError(f"columns {what}; they can be {', '.join(COLUMNS)} and record")
+        raise RecordError(f"columns need {', '.join(names)}; they can be {', '.join(COLUMNS)} and record")
     usual = _USUAL | ({"input": "rad/s"} if joint.signals.is_velocity else {})
     files, stamps = [], Stamps()
     for path in paths:
