@@ -159,7 +159,7 @@ def verdict(diagnosis: Diagnosis, joint: str = "joint_1") -> dict[str, Any]:
     return as_json(diagnosis, joint)
 
 
-def _checked(drive: Drive) -> Drive:
+def _checked(drive: Any) -> Drive:
     if not isinstance(drive, Drive):
         kind = type(drive).__name__
         raise TypeError(f'expected a drive, as load(file)["elbow"].drive or gear(name), not {kind}')

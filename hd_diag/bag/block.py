@@ -21,8 +21,8 @@ NO_SCHEMA = "no schema"
 class Topic:
     """A topic of a bag: its messages, the type as the bag defines it, offered QoS profiles (YAML).
 
-    What is `foreign` cannot be read: the encoding of its messages, where that is not CDR, or that they have
-    no schema; empty for all others.
+    `foreign` says why the messages cannot be read: an encoding other than CDR, or no schema. It is empty for
+    topics that can be read.
     """
 
     name: str
@@ -34,13 +34,13 @@ class Topic:
 
     @property
     def content(self) -> str:
-        """What its messages are, for people: their type, or why they cannot be read."""
+        """For people: the type of the messages, or why they cannot be read."""
         return f"{self.foreign}: not read" if self.foreign else self.type_name
 
 
 @dataclass(frozen=True)
 class LongMessage:
-    """A content that is not held: its size [byte], and what reads it bit by bit from its beginning."""
+    """A message too long to be held: its size [byte], and a reader that gives it piece by piece."""
 
     size: int
     read: Callable[[], Iterator[bytes | memoryview]]
@@ -83,7 +83,7 @@ class Block:
             yield view[offset : offset + size]
 
     def compact(self) -> Block:
-        """The same messages without the rest of their buffer, where that is most of it."""
+        """The same messages in a buffer of their own, if they are a small part of this one."""
         return self if 4 * int(self.size.sum()) > len(self.data) else self.holding([*self.messages()])
 
     def holding(self, contents: Sequence[bytes | memoryview]) -> Block:

@@ -46,11 +46,11 @@ def _resolved(name: str | os.PathLike[str]) -> Path:
 
 @contextmanager
 def replaced(path: str | os.PathLike[str], *, overwrite: bool) -> Iterator[Path]:
-    """Where to write a bag, so that one that it replaces stays until the new one is whole.
+    """Give the place to write a bag, so that the bag it replaces stays until the new one is whole.
 
-    Without `overwrite`, or where there is no bag, that is `path`, as for `BagWriter`; else a place beside it.
-    After an exception, Ctrl-C included, the old bag is as it was. Raises BagError where the old bag is being
-    written, or cannot be replaced, and what the body raises of the new one, with its own name.
+    The place is `path`, as for `BagWriter`, without `overwrite` or if there is no bag yet; otherwise it lies
+    beside the old bag. After an exception, Ctrl-C included, the old bag is as it was. Raises BagError if the
+    old bag is being written or cannot be replaced. A BagError of the body about the new bag names `path`.
     """
     place = Path(path)
     if not (overwrite and (place.is_dir() or (place.suffix == ".mcap" and place.is_file()))):
@@ -96,7 +96,7 @@ def _put_in_place(draft: Path, old: Path) -> None:
 
 
 def new_file(path: Path, overwrite: bool) -> int:
-    """File descriptor of a new, locked file; what a link leads to is left alone."""
+    """File descriptor of a new, locked file; a link is not followed."""
     flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | (0 if overwrite else os.O_EXCL)
     fd = os.open(path, flags, 0o666)
     try:

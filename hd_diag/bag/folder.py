@@ -42,7 +42,8 @@ class BagFiles:
 def find_files(path: Path, *, lenient: bool = False) -> BagFiles:
     """Files of a bag: a storage file, or a rosbag2 folder with or without metadata.
 
-    With `lenient` metadata that cannot be understood are a problem, else an error, as is a place without any.
+    With `lenient`, metadata that cannot be understood are a problem, otherwise an error. A place without
+    files is always an error.
     """
     if path.is_file():
         return BagFiles([path])
@@ -54,8 +55,8 @@ def find_files(path: Path, *, lenient: bool = False) -> BagFiles:
         if not lenient:
             raise
         files = BagFiles(problems=[exc.cause])
-    # A recording that was killed may have files that its metadata does not know yet. Of a file and its
-    # compressed copy the copy, which comes later in the order of names, is the unfinished one.
+    # A recording that was killed may have files that its metadata does not know yet. If a file and its
+    # compressed copy are both there, the copy is the unfinished one.
     known = {_plain(file) for file in files.paths}
     for file in sorted(path.iterdir(), key=natural):
         if PurePath(_plain(file)).suffix in _STORED and _plain(file) not in known and file.is_file():
@@ -141,7 +142,7 @@ def unpack(path: Path, stack: ExitStack, files: int = 1) -> tuple[Path, str]:
 def unpacked(path: Path, block: Block, stated: bool) -> Iterator[Block]:
     """Messages, each perhaps compressed, a few megabytes at once; BagError as `decompressed`.
 
-    Where no metadata has `stated` it, the messages themselves tell it.
+    If no metadata have `stated` the compression, the messages themselves tell.
     """
     begins = block.data[block.offset[block.size >= len(_ZSTD_FRAME)]]
     if not stated and not (begins == _ZSTD_FRAME[0]).any():
@@ -162,8 +163,8 @@ def decompressed(
 ) -> bytes | memoryview | LongMessage:
     """A message that rosbag2 compressed; BagError where it is damaged or unpacks to too much.
 
-    One that does not begin as what is compressed is given back, unless metadata have it `stated`. Making a
-    decompressor takes longer than most messages: one serves many.
+    A message that does not begin like compressed data is given back, unless the metadata have `stated`
+    compression. One decompressor serves many messages: making it takes longer than using it.
     """
 
     def read() -> Iterator[bytes]:

@@ -49,9 +49,9 @@ _MAX_RECORDS = 1_000_000
 class Section:
     """A chunk, or messages outside of chunks that follow one another: place [byte] and log times [ns].
 
-    Sizes, times and checksum (0 for none) are those that the chunk declares. Of a part of a large chunk
-    `part` is the place in its content and the size [byte]; the times are those of its messages then. A
-    message above `LARGE` is a part, or a section, of its own with its `channel`.
+    Sizes, times and checksum (0 for none) are those that the chunk declares. For a part of a large chunk,
+    `part` is its place in the content and its size [byte], and the times are those of its messages. A message
+    above `LARGE` is a part or section of its own, with its `channel`.
     """
 
     offset: int
@@ -67,7 +67,7 @@ class Section:
 
 
 def believable(stored: int) -> int:
-    """How much may unpack from so many bytes [byte]."""
+    """Size that so many stored bytes may unpack to [byte]."""
     return min(MAX_CHUNK, max(_MAX_UNASKED, _MAX_RATIO * stored))
 
 
@@ -81,7 +81,7 @@ def check_claim(claimed: int, stored: int) -> None:
 
 
 def decompressed(compression: str, stored: Any) -> Iterator[bytes]:
-    """What the ``read`` of `stored` gives, decompressed bit by bit."""
+    """Decompress piece by piece what the ``read`` of `stored` gives."""
     if compression not in COMPRESSIONS:
         raise ValueError(f"compression {compression!r} is not known")
     if compression == "zstd":
@@ -97,7 +97,7 @@ def decompressed(compression: str, stored: Any) -> Iterator[bytes]:
 class Content:
     """Content of a chunk up to a limit [byte], read from its beginning on.
 
-    `place` is how much was taken [byte], `checksum` that of what was read; None where nobody needs it.
+    `place` is how much was taken [byte]. `checksum` is that of the bytes read, or None if nobody needs it.
     """
 
     def __init__(self, parts: Iterator[bytes], limit: int, checksum: int | None = 0) -> None:
@@ -125,7 +125,7 @@ class Content:
 
 
 def check_whole(section: Section, content: Content) -> None:
-    """Raise ValueError where a chunk does not hold what it declares; all of it must have been taken."""
+    """Raise ValueError if a chunk does not hold what it declares; call it when all is taken."""
     if content.place != section.content_size:
         raise ValueError(f"it holds {content.place} bytes instead of {section.content_size}")
     if section.checksum and content.checksum != section.checksum:

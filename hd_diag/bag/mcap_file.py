@@ -62,7 +62,7 @@ class Stream:
 
 
 class Written(NamedTuple):
-    """A file, and what has reached the operating system of it: all that is kept of one that is finished."""
+    """A file and how much of it has reached the operating system. Of a finished file no more is kept."""
 
     path: Path
     statistics: records.Statistics
@@ -115,7 +115,7 @@ class McapFile:
     def add(
         self, stream: Stream, log_time: int, publish_time: int, data: bytes | memoryview | LongMessage
     ) -> None:
-        """Append a message; the chunk is closed when it is full, or where the message is a long one."""
+        """Append a message; the chunk is closed when it is full, and after a long message."""
         self.declare(stream)
         if len(data) > LARGE:
             self.close_chunk()
@@ -131,7 +131,7 @@ class McapFile:
         self._added(stream, 1, log_time, log_time, entry)
 
     def add_some(self, stream: Stream, times: Sequence[int], rows: Sequence[bytes]) -> None:
-        """Append a few messages, as `add` each; at once where the open chunk has room for them."""
+        """Append a few messages as `add` does, all at once if the open chunk has room."""
         self.declare(stream)
         place, size = self._chunk.size, len(rows) * MESSAGE.size + sum(map(len, rows))
         if not rows or place + size > min(self._chunk_size, LARGE):
@@ -184,7 +184,7 @@ class McapFile:
             self.wait(_MOST_WAITING if chunk.size <= _LARGE and chunk.long is None else 0)
 
     def close_old_chunk(self, now: float, age: float) -> bool:
-        """Close the chunk where its first message has an age [s]; say whether that was done."""
+        """Close the chunk if its first message has reached an age [s]; return whether it was closed."""
         is_due = self.opened is not None and now - self.opened >= age
         if is_due:
             self.close_chunk()
@@ -200,7 +200,7 @@ class McapFile:
         return bool(is_late or (size and self.size >= size))
 
     def wait(self, most: int = 0) -> None:
-        """Until no more than so many chunks wait for the operating system; raises what first went wrong."""
+        """Wait until at most so many chunks are unwritten; raise the first error of the thread."""
         while self._waiting and (len(self._waiting) > most or self._waiting[0].done()):
             self._waiting[0].result()
             self._waiting.popleft()
@@ -242,12 +242,12 @@ class McapFile:
                 os.close(fd)
 
     def discard(self) -> None:
-        """Close the file, which holds nothing, and take it away."""
+        """Close and delete the file, which holds nothing."""
         self.release()
         self.path.unlink(missing_ok=True)
 
     def held(self) -> int:
-        """Another descriptor of the file, which stays locked until that is closed too."""
+        """A second descriptor of the file; the lock lasts until both are closed."""
         return os.dup(self._fd)
 
     def _begun(self) -> OpenChunk:
@@ -255,7 +255,7 @@ class McapFile:
         return OpenChunk(self._rooms.popleft() if self._rooms else bytearray(min(self._chunk_size, ROOM)))
 
     def _store(self, chunk: OpenChunk) -> None:
-        """Write a chunk; after one that could not be written none is."""
+        """Write a chunk, unless an earlier one could not be written."""
         if self._failed:
             return
         data, start = memoryview(chunk.data)[: chunk.size], self.size
@@ -344,7 +344,7 @@ class McapFile:
         self.size += size
 
     def _cut(self, size: int) -> None:
-        """Take away what is behind a place."""
+        """Cut the file off at a place."""
         self.size = size
         os.ftruncate(self._fd, size)
         os.lseek(self._fd, size, os.SEEK_SET)

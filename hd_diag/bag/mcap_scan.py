@@ -1,7 +1,8 @@
 """What is in an MCAP file: chunks and messages outside of them, topics, counts; nothing is trusted.
 
 The file is walked record by record, so that the summary and the indexes may be missing, wrong or cut off.
-Of chunks only the heads are read then; their content is decompressed within bounds and checked when needed.
+The walk reads only the heads of chunks; their content is decompressed within bounds and checked when it is
+needed.
 """
 
 from __future__ import annotations
@@ -238,7 +239,7 @@ class Scan:
             return block
 
     def long_message(self, section: Section) -> Block:
-        """The message that a section with a `channel` is, without its content; DamagedChunk as `load`."""
+        """The message of a section with a `channel`, without its content; DamagedChunk as `load`."""
         assert section.part is not None
         place, size = section.part
         size -= MESSAGE.size
@@ -274,7 +275,7 @@ class Scan:
             raise DamagedChunk(self._path, f"{where} is damaged: {exc}") from exc
 
     def _unpacked(self, section: Section, checksum: int | None = 0) -> Content:
-        """The content of a chunk, one byte more than it claims if there is."""
+        """The content of a chunk, and one more byte if it holds more than it claims."""
         check_claim(section.content_size, section.size)
         stored = _Stored(self, section.offset, section.offset + section.size)
         return Content(decompressed(section.compression, stored), section.content_size + 1, checksum)
@@ -291,9 +292,9 @@ class Scan:
 
     @contextmanager
     def _opened(self, section: Section, place: int) -> Iterator[Content | OnDisk]:
-        """The content of a section from a place on; it is kept open, for its parts follow one another.
+        """The content of a section from a place on; it stays open because its parts follow one another.
 
-        Where they do not, for times go back in it, it is unpacked on the disk.
+        If its times go back they do not, and it is unpacked on the disk.
         """
         with self._lock:
             known: Content | OnDisk | None = self._open.pop(section.offset, None)

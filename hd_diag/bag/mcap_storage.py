@@ -49,7 +49,7 @@ class McapStorage:
     def blocks(self, numbers: Sequence[int]) -> Iterator[Block]:
         """Messages of some channels in the order of log time; BagError where a chunk is damaged.
 
-        Where the recorder's clock was set back, those of after it come behind those of before.
+        If the recorder's clock was set back, messages from after that come behind those from before.
         """
 
         def chosen(sections: list[Section]) -> Block:
@@ -75,7 +75,7 @@ class McapStorage:
     ) -> Iterator[list[Section]]:
         """Sections between which the clock was not set back.
 
-        Only where one declares a time from before what stands before it, both are looked into.
+        Two sections are looked into only if the second declares an earlier time than the first.
         """
         following: list[Section] = []
         reach = -(2**63)
@@ -181,7 +181,7 @@ def _ordered(
 ) -> Iterator[Block]:
     """Blocks whose log times never decrease; messages of equal time keep the order of the file.
 
-    Where the clock was set back within a stretch the times of after it come behind those of before. Raises
+    If the clock was set back within a stretch, later messages come behind earlier ones. Raises
     ValueError where times are so disordered that sorting takes more than 32 MiB, or where a chunk holds
     messages from before the time that it declares.
     """

@@ -39,7 +39,7 @@ class _Part:
 class Memory:
     """Messages of the last seconds [s], in at most some bytes, in the order in which they came.
 
-    It is made of parts, each from a place on at which a replay can begin; the oldest goes as a whole.
+    It consists of parts; each begins where a replay can begin. The oldest part is dropped as a whole.
     """
 
     def __init__(self, seconds: float, most_bytes: int) -> None:
@@ -74,9 +74,9 @@ class Memory:
             self.drop()
 
     def put(self, message: Received) -> int:
-        """Append a message to the last part; beyond the size the oldest parts go, at last all.
+        """Append a message to the last part; beyond the size the oldest parts are dropped, in the end all.
 
-        Gives how many messages went.
+        Returns how many messages were dropped.
         """
         if not self._parts:
             return 0

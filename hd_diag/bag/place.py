@@ -82,7 +82,7 @@ class Disk:
         self._job: Future[None] | None = None
 
     def sync_if_due(self, file: McapFile, now: float) -> None:
-        """Begin where the period is over and nothing is under way; raises what went wrong before."""
+        """Begin if the period is over and no sync is under way; raises an earlier error."""
         if now - self._last >= self._period and (self._job is None or self._job.done()):
             self._last = now
             self.sync(file)

@@ -127,10 +127,10 @@ class BagReader(AbstractContextManager["BagReader"]):
     def batches(self, topics: Iterable[str] | None = None, *, grouped: bool = False) -> Iterator[Batch]:
         """Messages in the order of log time; those of equal time in the order of the file; files in sequence.
 
-        Where a recorder's clock was set back, messages of after it come behind those of before.
+        If a recorder's clock was set back, messages from after that come behind those from before.
 
-        All topics by default. A batch ends where the topic changes; if `grouped`, order is kept within each
-        topic alone, and those that alternate are taken apart over stretches of a few megabytes.
+        All topics by default. A batch ends where the topic changes. If `grouped`, order is kept within each
+        topic only, and alternating topics are separated over stretches of a few megabytes.
 
         Raises
         ------
@@ -203,7 +203,7 @@ class BagReader(AbstractContextManager["BagReader"]):
         self.close()
 
     def _add(self, path: Path) -> None:
-        """Open a storage file; a database cannot be read up to a damage, so that it costs one of several."""
+        """Open a storage file; a damaged database is left out if there are other files."""
         try:
             file, broken = unpack(path, self._stack, len(self.paths))
             storage = (SqliteFile if is_sqlite(file) else McapStorage)(file, self._stack)
@@ -221,7 +221,7 @@ class BagReader(AbstractContextManager["BagReader"]):
             self._sources[-1][2][number] = known
 
     def _put_in_order(self) -> None:
-        """Put files that are listed otherwise than they are numbered in the order of their times.
+        """Put files that are not listed by number into the order of their times.
 
         Those whose times overlap by more than a clock may be late stay as listed: a clock was set back.
         """

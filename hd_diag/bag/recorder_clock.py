@@ -21,8 +21,8 @@ class RecorderClock:
     """Follows the messages of a file, in its order.
 
     A recorder writes the messages of a channel as they come; those of several may change places, and threads
-    may write blocks of some milliseconds out of turn. Where a channel goes back by more than `SET_BACK`, the
-    clock was set back: nothing of after it is sorted among what came before.
+    may write blocks of some milliseconds out of turn. If a channel goes back by more than `SET_BACK`, the
+    clock was set back: later messages are not sorted among earlier ones.
     """
 
     def __init__(self) -> None:
@@ -64,7 +64,7 @@ class RecorderClock:
                 first = int(rows[back[0]])
         if first is None:
             return None
-        # What other channels have of after it stands right before.
+        # Messages of other channels from after that stand right before.
         known = max([*before.values(), int(log_time[0])])
         reach = np.maximum(np.maximum.accumulate(log_time[: first + 1]), known)
         early = np.flatnonzero(log_time[: first + 1] >= reach - SET_BACK)

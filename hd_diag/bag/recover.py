@@ -33,8 +33,9 @@ _Piece = tuple[dict[int, Topic], Block, int]  # topics, messages, place in the f
 class FileRecovery:
     """Result for one storage file: its size and unreadable bytes [byte], messages saved.
 
-    Unverified are messages saved that no checksum covers. Lost for certain are messages that the file counts
-    and that were not read, or that belong to no topic; `problems` says in one line each what is wrong.
+    Unverified are messages saved that no checksum covers. Messages that the file counts but that were not
+    read, or that belong to no topic, are lost for certain. `problems` has one line for each thing that is
+    wrong.
     """
 
     path: Path
@@ -65,7 +66,7 @@ class RecoveryReport:
 
     @property
     def complete(self) -> bool:
-        """Whether nothing was lost that is known of."""
+        """Whether no loss is known."""
         return not self.problems and not any(f.problems or f.lost for f in self.files)
 
     def add(self, topic: str, log_time: int) -> None:
@@ -118,7 +119,7 @@ def recover(
 ) -> RecoveryReport:
     """Copy everything that can be read of a bag into a new, whole one, and read that back.
 
-    Where nothing of an unfinished or damaged bag can be saved, nothing is written or replaced. After an error
+    If nothing of an unfinished or damaged bag can be saved, nothing is written or replaced. After an error
     a new output is left without its end, so that no reader takes it for whole; a bag that `overwrite` would
     replace stays as it was, also after Ctrl-C.
 
@@ -240,7 +241,7 @@ def _salvage_sqlite(path: Path, report: FileRecovery, stack: ExitStack) -> Itera
 
 
 def _salvage_mcap(path: Path, report: FileRecovery, stack: ExitStack) -> Iterator[_Piece]:
-    """Messages of every section, and what can be read where the walk over the records was stuck."""
+    """Messages of every section, and what can be read where the walk over the records got stuck."""
     found = Scan(path, stack.enter_context(path.open("rb")))
     gaps, read = [], 0
     while found.problem:

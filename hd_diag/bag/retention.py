@@ -1,4 +1,4 @@
-"""Where each start of the node writes its log, and which of the oldest files go when there are too many."""
+"""Where each start of the node writes its log, and which old files are deleted when there are too many."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class Retention:
         self.problem = ""
 
     def look(self, writer: BagWriter | None, now: float, at_once: bool = False) -> None:
-        """Look now and then, or at once, for what is to go; BagError where the writer's metadata fail."""
+        """Look now and then, or at once, for files to delete; BagError if the writer's metadata fail."""
         self._next = now if at_once else self._next
         if not any(self._limits[1:]) or (self._job is not None and not self._job.done()):
             return
@@ -120,8 +120,8 @@ class Retention:
 def surplus(folder: LogFolder, most_bytes: int, most_age: float, own: Sequence[Path] = ()) -> list[Path]:
     """Files to delete, the oldest first, until those of a folder are within a size [byte] and an age [s].
 
-    0 stands for no limit. Of a writer's `own` files the last stays, of another's bag all while it is written;
-    what a diagnosis reads stays until it has ended.
+    0 stands for no limit. The last of a writer's `own` files stays, another writer's bag stays while it is
+    written, and what a diagnosis reads stays until it has ended.
     """
     now, found = time.time(), list[tuple[float, int, Path]]()
     for file in folder.files():
@@ -155,7 +155,7 @@ def delete(file: Path, own: Sequence[Path] = ()) -> None:
 
 
 def _forget(file: Path) -> None:
-    """Take a file out of the metadata of its folder."""
+    """Remove a file from the metadata of its folder."""
     info = load_yaml(file.parent / "metadata.yaml")["rosbag2_bagfile_information"]
     gone = [each for each in info["files"] if each["path"] == file.name]
     info["files"] = rest = [each for each in info["files"] if each["path"] != file.name]
@@ -177,7 +177,7 @@ def _forget(file: Path) -> None:
 
 
 def _remove_empty(folder: Path) -> None:
-    """Take away a folder that has no file of a bag left, unless somebody else's lies there."""
+    """Delete a folder without bag files, unless other files lie there."""
     verdicts = [*folder.glob("verdict_*")]
     if not [*_files(folder)] and not any(map(_is_held, verdicts)):
         for verdict in verdicts:

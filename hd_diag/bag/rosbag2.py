@@ -30,7 +30,7 @@ RELIABLE = Qos(
 )
 """What publishers offer by default."""
 UNREADABLE = yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError, RecursionError, OverflowError
-"""What comes of YAML that is none, or not what was expected."""
+"""Errors of YAML that is invalid or not what was expected."""
 _MAX_DEPTH = 50  # rosbag2's own files have a depth of 7
 _MAX_TEXT = 4 << 20
 

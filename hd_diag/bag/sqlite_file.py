@@ -50,9 +50,9 @@ def is_sqlite(path: Path) -> bool:
 class SqliteFile:
     """A ``.db3`` file with what `McapStorage` gives of the other format; read and never changed.
 
-    What a crash left unfinished stands in a file beside it, ``-wal`` or ``-journal``. SQLite would clear up
-    there, and without the right to write would not open it: such a database is read in a copy, which the
-    stack deletes. `problem` says what its check of itself found, for damage may hide rows. Raises BagError
+    A crash leaves unfinished writes in a file beside it, ``-wal`` or ``-journal``. SQLite would clean that
+    up, or refuse to open a file that it may not write; so such a database is read in a copy, which the stack
+    deletes. `problem` says what its own check found, because damage may hide rows. Raises BagError
     where it is no database of rosbag2, or so damaged that it cannot be read.
     """
 
@@ -86,10 +86,10 @@ class SqliteFile:
     def blocks(self, numbers: Sequence[int] | None) -> Iterator[Block]:
         """Messages of some topics in order of time, or all in stored order; BagError if damaged.
 
-        Where the recorder's clock was set back, messages of after it come behind those of before. Of all
-        topics those above `LARGE` are given without their content, where Python can read that bit by bit
-        (3.11 and later). Of some topics those above `MAX_READ` are `too_long`, which no decoder takes, and
-        what is no BLOB is given empty.
+        If the recorder's clock was set back, messages from after that come behind those from before. When all
+        topics are asked for, messages above `LARGE` come without their content, if Python can read that piece
+        by piece (3.11 and later). When some topics are asked for, messages above `MAX_READ` are `too_long`,
+        which no decoder takes, and anything but a BLOB is given empty.
         """
         which, content, read, order = "true", "CAST(data AS BLOB)", 0, "id"
         if numbers is not None:

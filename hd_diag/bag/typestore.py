@@ -86,7 +86,7 @@ def _is_bounded(desc: Any) -> bool:
 def standard_joint_state(data: Any, store: Typestore) -> memoryview:
     """A JointState message as ROS 2 Jazzy has it, from one of another definition; empty where damaged.
 
-    What cannot be CDR stays: why is told where it is decoded.
+    Bytes that cannot be CDR stay as they are: decoding says why.
     """
     if len(data) and data[0]:
         return memoryview(bytes(data))

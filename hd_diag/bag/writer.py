@@ -144,7 +144,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         """Declare a topic before its first message; needed only for types that ROS 2 Jazzy does not have.
 
         `qos` is the offered profile, or the YAML text of another bag's ``offered_qos_profiles``; `known` the
-        definition of the type to carry, by default that of ROS 2 Jazzy; one of no name is none.
+        definition of the type to carry, by default that of ROS 2 Jazzy; a definition without a name counts as
+        none.
 
         Raises
         ------
@@ -196,9 +197,9 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         qos: Qos | None = None,
         known: Definition | None = None,
     ) -> None:
-        """Append a few messages of one topic, each as `write` does: what they have in common is done once.
+        """Append a few messages of one topic as `write` does, with their common work done once.
 
-        Where one of the times cannot be written none of them is.
+        If one of the times cannot be written, none of the messages is.
         """
         stream = self._stream(topic, type_name, qos, known)
         if rows and not 0 <= min(log_times) <= max(log_times) <= _LAST_TIME:
@@ -270,7 +271,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             self._file.wait()
 
     def resume(self) -> None:
-        """Finish the file if it still can be, go on in a new one; BagError where that cannot be either."""
+        """Finish the file if possible and go on in a new one; BagError if that is impossible too."""
         before = self._file
         with suppress(BagError):
             if self.error is None:
@@ -286,7 +287,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self.error = None
 
     def close(self, *, whole: bool = True) -> None:
-        """Finish the bag; if not `whole`, leave it without its end, so that every reader sees that.
+        """Finish the bag; if not `whole`, leave it without its end, so that every reader notices.
 
         Raises BagError where the end cannot be written; what was written before stays recoverable. A second
         call, or one after an error, does nothing that can raise.
@@ -345,7 +346,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             self.split()
 
     def _until_split(self, times: Times, first: int) -> int:
-        """Where the messages from `first` on end that go into the open file."""
+        """End of the messages, from `first` on, that go into the open file."""
         if not self._max_duration:
             return len(times)
         start = int(times[first]) if self._file.start is None else self._file.start

@@ -25,7 +25,7 @@ class _Bash(BashComplete):
 
 @add_completion_class
 class _Zsh(ZshComplete):
-    """zsh completes the whole of ``--config=name``: what the option is called stays before the value."""
+    """zsh completes the whole of ``--config=name``: the option's name stays before the value."""
 
     source_template = ZshComplete.source_template.replace(
         "    local -a completions\n", "    compset -P '--*='\n    local -a completions\n", 1

@@ -65,7 +65,7 @@ def diagnose(
 
 
 def _model_files(file: Path | None, joints: Sequence[JointConfig]) -> dict[str, Path]:
-    """Where each joint's model is written: of several joints each has its name in that of its file."""
+    """Where each joint's model is written; with several joints each file has its joint's name in its own."""
     if file is None:
         return {}
     if len(joints) == 1:

@@ -95,7 +95,7 @@ def _show(joint: JointConfig, assessed: Assessment) -> None:
 
 
 def _usual_ratio(joint: JointConfig) -> str:
-    """What to look at where the ratio is off by one from those that pages name, or nothing."""
+    """Advice if the ratio is off by one from those that pages name; empty otherwise."""
     geometry, kinematics = joint.configured.mesh.geometry, joint.configured.kinematics
     teeth = f"{geometry.flexspline_teeth}/{geometry.circular_spline_teeth} teeth"
     ratio = round(abs(kinematics.ratio))

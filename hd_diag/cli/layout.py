@@ -1,7 +1,7 @@
 """``hd-diag layout``: layouts of Foxglove and PlotJuggler for the configured joints.
 
-They are made of those in config/, which are for one joint of a node: names, places and tooth numbers of
-others are put into copies of these.
+They are copies of those in config/, which are for one joint of a node, with the names, places and tooth
+numbers of the configured joints.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def layout(out: Path, config_file: str | None, node: str) -> None:
 
 
 def foxglove(template: str, words: Mapping[str, Words]) -> str:
-    """The layout for some joints, by what makes each one's words of those of the template; a tab each."""
+    """The layout for some joints, a tab each, by functions that translate texts of the template."""
     panels: dict[str, Any] = {}
     tabs: list[Any] = []
     whole = json.loads(template)
@@ -73,7 +73,7 @@ def foxglove(template: str, words: Mapping[str, Words]) -> str:
 
 
 def plotjuggler(template: str, words: Mapping[str, Words]) -> str:
-    """The same of PlotJuggler: the tabs of each joint one behind the other."""
+    """The same for PlotJuggler, with the tabs of each joint one after the other."""
     root = ElementTree.fromstring(template.encode())
     computed = {each.attrib["name"] for each in root.iter("snippet")}
     several = len(words) > 1
@@ -101,7 +101,7 @@ def plotjuggler(template: str, words: Mapping[str, Words]) -> str:
 
 
 def _of_joint(joint: JointConfig, place: int, node: str, text: str) -> str:
-    """Words of the template for another joint: its place in messages of all, its teeth, its name."""
+    """Translate a text of the template for another joint: its place in messages, its teeth, its name."""
     teeth = joint.drive.mesh.geometry.flexspline_teeth
     ends = {"data[0:199]": f"data[0:{teeth - 1}]", "data[200:399]": f"data[{teeth}:{2 * teeth - 1}]"}
     places = {f"data[{of * _TEETH // 2}]": f"data[{of * teeth // 2}]" for of in range(4)}

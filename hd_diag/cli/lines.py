@@ -28,9 +28,9 @@ def tell(line: str, *, err: bool = False) -> None:
 
 
 def show(text: str, *, err: bool = False) -> None:
-    """Print text as it is; where its reader has gone (``head``), drop it and what follows, and go on.
+    """Print text as it is. If its reader has gone (``head``), drop it and all that follows, and go on.
 
-    So it is where stderr cannot be written to: nobody can be told.
+    The same holds if stderr cannot be written to: nobody can be told.
     """
     try:
         click.echo(text, nl=False, err=err)
@@ -56,7 +56,7 @@ def number_table(*columns: str, title: str | None = None) -> Table:
 
 
 def show_table(table: Table) -> None:
-    """Print a table: without markup, in a pipe as wide as it needs, and no number of it cut off."""
+    """Print a table without markup; in a pipe it is as wide as it needs, and no number is cut off."""
     from rich.console import Console
 
     console = Console(width=None if sys.stdout.isatty() else _WIDEST, highlight=False, markup=False)

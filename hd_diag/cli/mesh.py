@@ -112,7 +112,7 @@ def _in_section(result: dict[str, Any], number: int) -> dict[str, Any]:
 
 
 def swept(drive: Drive, over: str, input_angle: float, torque: float) -> dict[str, Floats]:
-    """Columns of a sweep by their names with units, the same as `moment` has of one.
+    """Columns of a sweep by their names with units, the quantities that `moment` gives.
 
     Over a turn of the wave generator from an input angle [rad], or over torques [N m] there.
     """

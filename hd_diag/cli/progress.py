@@ -71,7 +71,7 @@ def duration(seconds: float) -> str:
 
 @contextmanager
 def showing(came: Sequence[int] = ()) -> Iterator[Part]:
-    """Gives what begins parts of the work; each is shown from the first call of its `Advance` on.
+    """Give a function that begins parts of the work; each is shown from the first call of its `Advance` on.
 
     That call raises `Stopped` if `came` holds a signal.
     """

@@ -196,7 +196,7 @@ def _topic(duration: float, topic: Topic, content: Contents) -> dict[str, Any]:
 def _rate(stamps: Floats) -> float | None:
     """How often messages with these stamps [s] came [Hz]; None where that is unknown.
 
-    Those of the bulk tell: a few stamps may be of another clock.
+    The bulk of the stamps decides: a few may be of another clock.
     """
     span = float(np.ptp(np.quantile(stamps, _BULK))) if stamps.size > 1 else 0.0
     return float(np.ptp(_BULK)) * (stamps.size - 1) / span if span > 0.0 else None

@@ -80,7 +80,7 @@ def assess(config: Config, joint: JointConfig) -> Assessment:
 
 
 def _warnings(found: Characteristics, page: Page | None, joint: JointConfig) -> Iterator[str]:
-    """What no gear has, or not the one of the page; the characteristics are those without eccentricity.
+    """Values that no gear has, or not that of the page; characteristics are those without eccentricity.
 
     A cup's coning presses its teeth, as it should: whether curve and slots fit shows in the middle section.
     """

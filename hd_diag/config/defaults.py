@@ -44,8 +44,8 @@ _MODEL_SHARE = 0.25
 def joint_values(given: Mapping[str, Value], teeth: bool = True) -> tuple[dict[str, Value], dict[str, Value]]:
     """All parameters of a joint from those given, by their names within it; and those that were given.
 
-    Where a page is given, what is no other than without it follows the page and is not counted as given: a
-    file that was written from a page may hold all. `teeth` as `drive_from` has it. Raises ValueError naming
+    If a page is given, values equal to the page's own follow the page and do not count as given: a file that
+    was written from a page may hold all of them. `teeth` as `drive_from` has it. Raises ValueError naming
     what cannot be.
     """
     page = page_of(given)
@@ -78,7 +78,7 @@ def _check_shape(given: Mapping[str, Value]) -> None:
 
 
 def page_of(given: Mapping[str, Value]) -> Page | None:
-    """The page in the section ``gear``, None where there is none; raises ValueError naming what it lacks."""
+    """The page in the section ``gear``, None without one; raises ValueError naming what it lacks."""
     values = {**DEFAULTS, **given}
     if not any(values[f"gear.{name}"] for name in ("size", *Page._fields[:-1])):
         return None

@@ -33,9 +33,9 @@ _WHOLE = "the file"
 
 
 def read_text(path: Path, kind: str = "model file") -> str:
-    """Text of a file of some kind: a regular one, for a pipe or a device may be waited for without end.
+    """Text of a regular file of some kind; a pipe or a device could keep the reader waiting for ever.
 
-    Raises ConfigError where it cannot be read, is too long or no UTF-8; without the file's name.
+    Raises ConfigError, without the file's name, if it cannot be read, is too long or not UTF-8.
     """
     try:
         with open(path, "rb", opener=_regular) as file:
@@ -52,7 +52,7 @@ def read_text(path: Path, kind: str = "model file") -> str:
 
 
 def reader(*folders: Path) -> Callable[[str, str], str]:
-    """What gives the text of a joint's model file from the joint's name and the path, or raises ConfigError.
+    """A function that gives the text of a model file by the joint's name and the path, or raises ConfigError.
 
     Relative paths are looked for in these folders, then in the present one.
     """

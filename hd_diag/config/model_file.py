@@ -157,7 +157,7 @@ def document(
     The joint's parameters are those configured when the model was fitted; spreads are standard deviations of
     the refitted ones. Effects are, of every term of the model, the standard deviations of its quantities
     (zero: not estimated), and its class: the names that the record could not tell from it, itself first.
-    Evidence is what speaks for the model: bags, held-out figures.
+    Evidence is the support of the model: bags, held-out figures.
     """
     base = drive_parameters(configured)
     refitted = base | _refitted(model)
@@ -272,7 +272,7 @@ def _range(name: str, found: Mapping[str, float] | None) -> Range | None:
 
 
 def _try(model: ExtendedModel) -> None:
-    """Compute two samples: what is needed beside the file is built now, not at the first message."""
+    """Compute two samples, so that all that is needed is built now and not at the first message."""
     still = np.zeros(2)
     torque = np.array([model.ranges.torque.low, model.ranges.torque.high])
     heat = None if model.ranges.temperature is None else np.full(2, model.ranges.temperature.low)

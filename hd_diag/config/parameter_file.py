@@ -82,7 +82,7 @@ def sections(path: str | Path) -> list[Any]:
 def for_any_node(path: str | Path) -> str:
     """The text of a file with the section of ``hd_diag`` renamed to that of every node, ``/**``.
 
-    All else stays as it is written. Raises ConfigError where it is no YAML of ROS.
+    The rest stays as it is written. Raises ConfigError if it is not YAML of ROS.
     """
     sections(path)
     text = read_text(Path(path), "parameter file")

@@ -34,7 +34,7 @@ class ClusterPool:
         self._address = address
         try:
             self._client = Client(address, timeout=_CONNECT, set_as_default=False)
-        except Exception as error:  # of an address that is none it raises several kinds, some without words
+        except Exception as error:  # for a wrong address it raises several kinds, some without words
             wanted = "an address is like tcp://host:8786"
             raise FleetError(f"no Dask scheduler at {address}: {error}; {wanted}") from error
         self._seen = time.monotonic()

@@ -86,7 +86,7 @@ class BagPages:
         return self.folder / f"{re.sub(r'[^A-Za-z0-9.-]', '_', task.joint.name)}_{task.key[:16]}.html"
 
     def link(self, task: Task) -> str | None:
-        """Its path from the fleet's page; None where there is none."""
+        """Path of a task's page from the fleet's page; None if it has no page."""
         place = self.place(task)
         return f"{self.folder.name}/{place.name}" if place.exists() else None
 

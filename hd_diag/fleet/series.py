@@ -33,7 +33,7 @@ class Series:
     """A quantity of one joint over time, in time order.
 
     Times since 1970 [s], values and their standard deviations in `unit`, each (n,); nan deviations are
-    unknown. The limit is what the quantity should stay below; nan is none.
+    unknown. The quantity should stay below the limit; nan means no limit.
     """
 
     robot: str

@@ -2,8 +2,8 @@
 
 A series with too few values for the question is ``unknown``. Steps have a p-value by permutation, drifts one
 by Kendall's rank correlation, corrected for the number of series (Benjamini and Hochberg, 1995): of a fleet
-in which nothing changes, a run reports anything with a chance of at most `FALSE_ALARM`. Permutations take the
-values of a constant series as exchangeable: their deviations may differ, but bags that follow each other must
+in which nothing changes, a run reports anything with a chance of at most `FALSE_ALARM`. Permutations assume
+that the values of a constant series can be exchanged: their deviations may differ, but neighbouring bags must
 not resemble each other more than others do.
 """
 
@@ -55,11 +55,10 @@ class MeanShift:
 class Trend:
     """What a series shows: ``unknown`` (too few values), ``constant``, ``steps`` or ``drift``.
 
-    From so many values `needed` on the clearest step possible would be reported; of each the series has a
-    weight. The p-values are against a constant, alone (p) and corrected for all series (q); nan with too few
-    values. `line` is Theil and Sen's as scipy has it [unit/s, unit], of times from the first on. `crossing`
-    is when the limit is reached [s since 1970] with its 95 % interval, inf where that has no end; None where
-    no drift leads there.
+    With `needed` values the clearest possible step would be reported; each value has a weight. The p-values
+    are against a constant, alone (p) and corrected for all series (q); nan with too few values. `line` is
+    Theil and Sen's by scipy [unit/s, unit], with times counted from the first. `crossing` is when the limit
+    is reached [s since 1970] with its 95 % interval, inf if that has no end; None if no drift leads there.
     """
 
     series: Series
@@ -198,7 +197,7 @@ def segments(value: Floats, weight: Floats, penalty: float) -> list[int]:
     Killick, Fearnhead, Eckley (2012), Optimal detection of changepoints with a linear computational cost. A
     weighted mean is a regression of √w·value on √w.
     """
-    import ruptures  # here, for it takes a while to import
+    import ruptures  # here, because it takes a while to import
 
     root = np.sqrt(weight)
     search = ruptures.Pelt(model="linear", min_size=LEAST, jump=1)

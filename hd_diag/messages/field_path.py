@@ -1,8 +1,8 @@
 """Paths to numbers in messages, such as ``interface_values[joint_1].values[position]``.
 
-A path is names of fields with dots between. Of an array it has an index, a number or a name: one that stands
-at that place in an array of texts of the same message (``name`` beside ``position``), or that the element has
-itself as its ``name``.
+A path is names of fields with dots between. An array has an index: a number, or a name that stands at that
+place in an array of texts of the same message (``name`` beside ``position``), or that is the element's own
+``name``.
 """
 
 from __future__ import annotations

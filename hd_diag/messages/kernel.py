@@ -1,4 +1,4 @@
-"""JointState messages of one layout compiled, columns to bytes and back; imported late, for numba is."""
+"""JointState messages of one layout compiled, columns to bytes and back; imported late, as numba is."""
 
 from __future__ import annotations
 

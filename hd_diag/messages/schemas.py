@@ -18,8 +18,8 @@ _TOO_LONG = b"\xfftoo long"  # no CDR begins so
 class Definition:
     """Definition of a message type and of those that it uses, as a bag carries it.
 
-    The encoding is ``ros2msg`` or ``ros2idl``; the RIHS01 hash is empty where it is not known. That of the
-    messages is another than ``cdr`` where they can only be copied.
+    The encoding is ``ros2msg`` or ``ros2idl``; the RIHS01 hash is empty where it is not known. Messages that
+    can only be copied have another encoding than ``cdr``.
     """
 
     type_name: str

@@ -58,8 +58,8 @@ _COUNTS, _MANY_COUNTS = "counts/?", 1000.0  # whole numbers over so many are no 
 class NumericField:
     """A number in the messages of a topic: kind (one of `_KINDS` or empty), guessed unit, time [s], values.
 
-    Its tag is its index or name in an array, the same for all numbers of a joint. Where
-    its stamps stay the same, it is by the time of reception.
+    Its tag is its index or name in an array, the same for all numbers of a joint. If its stamps stay the
+    same, its times are those of reception.
     """
 
     topic: Topic
@@ -116,8 +116,8 @@ class Contents(NamedTuple):
 def contents(reader: BagReader, topics: Sequence[Topic]) -> list[Contents]:
     """What each of the topics holds that may be a joint's, of all its publishers, by two passes over the bag.
 
-    One whose type is unknown has that for its problem. Where a pass fails, for a part of the bag is damaged
-    or cannot be sorted, each of a few topics is read alone: one may be whole where another is not.
+    A topic of unknown type has that as its problem. If a pass fails because part of the bag is damaged or
+    cannot be sorted, a few topics are read one by one: some may be whole.
     """
     found = [_Found(reader, topic) for topic in topics]
     try:
@@ -260,9 +260,9 @@ def pairs(angles: list[NumericField]) -> list[AnglePair]:
 
 
 def beside(every: list[NumericField], output: NumericField, *kinds: str) -> NumericField | None:
-    """A number of the same joint, of the first of some kinds; in the same topic where there is one.
+    """A number of the same joint and of the first kind that there is, if possible in the same topic.
 
-    What a model says comes last.
+    Numbers of a model come last.
     """
     own = [n for n in every if n.tag == output.tag and n.kind in kinds and not _COMMANDED.search(n.field)]
     own = [n for n in own if n.known and (n.topic is output.topic or not n.tag.isdecimal())]

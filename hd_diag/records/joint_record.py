@@ -41,7 +41,7 @@ _TURN = 2.0 * np.pi + 1e-6  # of an encoder that wraps [rad]
 
 
 class _Samples(NamedTuple):
-    """Samples of a joint, columns (n,), None where no bag tells it; what became of others.
+    """Samples of a joint as columns (n,), None where no bag has them; what became of the others.
 
     Times since the first [s], numbers of the stretches, angles [rad], torque [N m], speed of the input
     [rad/s], temperature [degree Celsius].
@@ -99,12 +99,12 @@ def nothing(paths: Sequence[str | Path], joint: JointConfig, stamps: Stamps | No
 
 @dataclass(frozen=True)
 class InputRecord:
-    """Where a joint's input was and what it bore, whether or not its output was measured.
+    """Angle and torque at a joint's input, whether or not its output was measured.
 
     Columns of shape (n,): time [s], angle, continuous over the turns [rad], torque on the link [N m] or None,
-    number of the recording. `stamps` tells what became of samples that are not in it, `no_torque` what the
-    reported torque is where it is no measured one. RecordError where no
-    stamps rise, or the input turns faster than any.
+    number of the recording. `stamps` tells what became of samples that were left out, `no_torque` what a
+    reported torque is that nobody measured. RecordError if no stamps rise, or the input turns faster than any
+    can.
     """
 
     time: Floats
@@ -246,7 +246,7 @@ def _own_rows(
 ) -> tuple[list[Any], tuple[str, ...]]:
     """Columns without what a second publisher gave, and what is said of it.
 
-    Turns that an angle within one seemed to make on the way there and back are taken back.
+    Turns that a wrapping angle seemed to make there and back are undone.
     """
     stamp, _, stretch, given, own, torque, _ = columns
     within = streams.encoders[0]["high"] - streams.encoders[0]["low"] <= _TURN
@@ -269,7 +269,7 @@ def _own_rows(
 
 
 def _degrees(data: bytes, streams: Alignment) -> float:
-    """Temperature in a message [degree Celsius]; one that cannot be is refused, and nan."""
+    """Temperature in a message [degree Celsius]; an impossible one is refused and becomes nan."""
     try:
         return read_temperature(data)
     except ValueError as error:

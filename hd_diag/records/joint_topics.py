@@ -80,7 +80,7 @@ class JointTopics:
         return shapes, refused
 
     def _find(self, joint: str, signal: Signal) -> str:
-        """Name that the bag has for a signal's topic; empty where nothing came on it to a node's log."""
+        """Name that the bag has for a signal's topic; empty if a node's log has no message of it."""
         wanted = self._names.get(signal.topic, signal.topic)
         end = "/" + wanted.lstrip("/")
         known = [t for t in self._bag.topics if t.name == wanted] or [
@@ -134,7 +134,7 @@ class JointTopics:
 
 
 def joint_state_topics(reader: BagReader) -> list[str]:
-    """Topics of a bag with joint states; a node's own outputs are none."""
+    """Topics of a bag with joint states, without a node's own outputs."""
     found = [topic.name for topic in reader.topics if topic.type_name == JOINT_STATE]
     return [name for name in found if not name.endswith(OWN_OUTPUTS)]
 
@@ -167,7 +167,7 @@ def offered(path: str | Path) -> str:
 
 
 def no_input(path: str | Path, joint: JointConfig) -> str:
-    """That a bag has no input angle of a joint, and what it has."""
+    """Text that a bag has no input angle of a joint, and what it has instead."""
     return f"no input angle ({place(joint.signals.input, joint.input_joint)}) in {path}; {offered(path)}"
 
 

@@ -1,4 +1,4 @@
-"""What the columns of a table could be: numbers as of a bag's messages, named as `--columns` has them."""
+"""What the columns of a table could be: numbers like those of a bag, with names for `--columns`."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def table_columns(path: Path) -> TableColumns:
 
 
 def _values(width: int, rows: list[list[str]]) -> Floats:
-    """Numbers of all columns, (columns, n), nan where there is none that can be of a joint."""
+    """Numbers of all columns, (columns, n); nan where a cell has none that a joint could have."""
     found = np.full((len(rows), width), np.nan)
     for row, cells in enumerate(rows):
         for column, cell in enumerate(cells[:width]):
@@ -100,7 +100,7 @@ def _likely_unit(time: Floats) -> str:
 
 
 def _unit_of(role: str, name: str) -> str:
-    """Unit in a column's name, in brackets or behind a low line; empty where none that is known."""
+    """Unit in a column's name, in brackets or behind a low line; empty if no unit is known."""
     given = IN_HEADER.fullmatch(name)
     text = given["unit"] if given else name.rpartition("_")[2]
     with suppress(ValueError):

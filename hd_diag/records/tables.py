@@ -174,7 +174,7 @@ def _own_rows(found: dict[str, Floats], stamps: Stamps) -> Stamps:
 
 
 def _check_clock(table: Table, found: Mapping[str, Floats], ratio: float) -> None:
-    """Ask about the unit of time where no joint moves so on such a clock, unless the user gave it."""
+    """Ask for the unit of time, by a RecordError, if no joint moves like this; not if the user gave it."""
     name = table.columns.get("time", "")
     if not name or _STATED.search(name):
         return

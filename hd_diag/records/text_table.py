@@ -185,7 +185,7 @@ def _bare(cells: list[str]) -> list[str]:
 
 
 def _first_row(split: list[list[str]]) -> int | None:
-    """Number of the first line of numbers, if as many cells with numbers in them are a table's."""
+    """Number of the first line of numbers, if it has as many of them as a table must have."""
     count = [_numbers(cells) for cells in split]
     widths = Counter(
         len(cells) for cells, n in zip(split, count, strict=True) if n > 1 or len(cells) == n > 0
@@ -201,7 +201,7 @@ def _first_row(split: list[list[str]]) -> int | None:
 
 
 def _numbers(cells: list[str]) -> int:
-    """How many cells hold a number or a time; none where one holds several, of another delimiter."""
+    """How many cells hold a number or a time; 0 if a cell holds several: the delimiter is another."""
     inner = any(len(parts := cell.split()) > 1 and all(map(_is_number, parts)) for cell in cells)
     return 0 if inner else sum(map(_is_number, cells))
 

@@ -140,7 +140,7 @@ class Session:
     def configure(self, now: int, config: Config) -> list[str]:
         """Put another configuration in force from the next message on, at a time [ns].
 
-        Given are the joints that need another map, for their mesh or the torque that it reaches is another.
+        Returned are the joints that need another map, because their mesh or its largest torque has changed.
         """
         before = self.config
         changed = {name: value for name, value in config.flat.items() if before.flat.get(name) != value}

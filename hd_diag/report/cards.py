@@ -40,8 +40,8 @@ class Card:
     """One thing that was found: its part in the error [rad rms], the cause in a sentence, what to measure.
 
     `inspect` says what to look at and which test would confirm it; alternatives are causes that look alike in
-    this record. Of a setting the configured number may be wrong, not the joint. `usual` says why it asks for
-    nothing; empty where it asks for something.
+    this record. For a `setting` the configured number may be wrong, not the joint. `usual` says why the card
+    asks for nothing; empty if it asks for something.
     """
 
     title: str
@@ -74,13 +74,13 @@ def cards(answer: Answer) -> list[Card]:
 
 
 def _kept(answer: Answer) -> str:
-    """Why nothing is to be done about parameters that are not as configured; empty where something is."""
+    """Why parameters that are not as configured ask for nothing; empty if they ask for something."""
     places = [one.place for one in (answer.normal, answer.tolerance) if one is not None]
     return "" if "beyond" in places or "near" in places else _WITHIN
 
 
 def _of_cause(cause: Cause, advice: Mapping[str, str]) -> Card | None:
-    """The card of a cause; None where all its sizes may as well be zero."""
+    """The card of a cause; None if all its sizes may be zero."""
     effect = cause.effect
     values = effect.to_physical(cause.coefficients, cause.nonlinear)
     spread = effect.standard_deviations(cause.coefficients, cause.nonlinear, cause.covariance)
@@ -108,7 +108,7 @@ def _known(entry: Quantity, value: float, std: float) -> bool:
 
 
 def quantity(entry: Quantity, value: float, spread: float) -> str:
-    """The value of an effect's quantity; of a switch what its meaning says, which may be nothing."""
+    """The value of an effect's quantity; for a switch the words of its meaning, which may be none."""
     if entry.discrete and (entry.low, entry.high) == (0.0, 1.0):
         forms = dict(form.split(": ", 1) for form in re.split(r", (?=1: )", entry.meaning))
         return forms.get(f"{value:.0f}", "")

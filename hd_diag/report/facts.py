@@ -176,8 +176,8 @@ def quality_of(
 ) -> list[Fact]:
     """What stamps [s], angles [rad] and torque [N m], if measured, of a record say, shape (n,) each.
 
-    `bag` says which recording each sample comes from; a step between two of them counts for nothing, nor does
-    one between stamps that do not rise; others must exist.
+    `bag` says which recording each sample comes from; steps between two recordings, or between stamps that do
+    not rise, are left out; some must remain.
     """
     rising = (np.diff(bag) == 0) & (np.diff(time) > 0.0)
     step = np.diff(time)[rising]
@@ -263,7 +263,7 @@ def _marks(diagnosis: Diagnosis) -> list[Mark]:
 
 
 def _own_orders(angle: Floats, part: Floats, name: str) -> list[Mark]:
-    """Peaks that hold a good share of a cause's part; none if it is not a sum of a few waves."""
+    """Peaks that hold a good share of a cause's part; empty if it is not a sum of a few waves."""
     order, strength = spectrum(angle, part, _ORDERS[1])
     strongest = peaks(strength, int(line_width(angle, _LEAK) / (order[1] - order[0])))[:_MOST_MARKS]
     least = _LINE_SHARE * float(np.var(part))

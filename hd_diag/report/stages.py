@@ -143,7 +143,7 @@ def over_torque(found: Stages) -> BinnedResiduals:
 def _compared(
     found: Stages, rows: Integers, place: Floats, edges: Floats, level: Floats | float
 ) -> BinnedResiduals:
-    """Of some rows the means in bins of a place; a level is taken off what was measured."""
+    """Means of some rows in bins of a place; a level is subtracted from what was measured."""
     torque = found.record.torque[rows]
     return BinnedResiduals(
         band(place, found.measured[rows] - level, edges),

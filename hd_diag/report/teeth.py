@@ -40,8 +40,8 @@ class TeethOverTurn:
     sum [N], shape (angles, Z_R); `visited` says where the record was. `moment` is the index of the angle with
     the greatest force on a tooth: teeth, long axis and the wave generator's displacement [m] have these
     directions in the housing [rad] then. The least backlash [m] and the greatest load [N] of the whole turn
-    stand over directions, shape (directions,). The extremes are those of the record's own moments. From a
-    backlash of `free` [m] on a tooth of this gear is far from any load.
+    stand over directions, shape (directions,). The extremes are those of the record's own moments. A tooth of
+    this gear with a backlash of `free` [m] or more is far from any load.
     """
 
     torque: float
@@ -100,7 +100,7 @@ def teeth_over_turn(drive: Drive, input_angle: Floats, torque: Floats) -> TeethO
 
 
 def _extremes(drive: Drive, input_angle: Floats, torque: Floats) -> Extremes:
-    """What the record's own angles and torques did to the teeth; of many, at moments in equal distances."""
+    """What the record's own angles and torques did to the teeth; of many moments, evenly spaced ones."""
     rows = np.unique(np.linspace(0, input_angle.size - 1, _MOMENTS).astype(np.int64))
     state = mesh_state(drive, input_angle[rows], drive.frame.cup_torque(torque[rows]))
     return Extremes(

@@ -1,7 +1,7 @@
 """The rules of `alignment` compiled: rows of messages in, aligned samples out, with state between calls.
 
-Imported by `alignment` when first needed, for it imports numba. Nothing here depends on how many rows come in
-one call. State stands in arrays of records over the joints (`JOINT`) and rings (`INPUT`, `OUTPUT`).
+Imported by `alignment` when first needed, because it imports numba. Nothing here depends on how many rows
+come in one call. State stands in arrays of records over the joints (`JOINT`) and rings (`INPUT`, `OUTPUT`).
 """
 
 from __future__ import annotations
@@ -156,8 +156,8 @@ def _with_velocity(joint: Any, given: int, value: Floats) -> int:
 def _integrate(joint: Any, stamp: int, before: int, given: int, value: Floats) -> int:
     """Put the integral of the velocity in the input angle's place; what is given then.
 
-    It follows the output times the ratio, slowly: what both are apart is forgotten over `DRIFT_TIME`. Before
-    an output is known there is no angle. `before` is the stamp of the input before.
+    The integral slowly follows the output times the ratio: their difference decays over `DRIFT_TIME`. There
+    is no angle before an output is known. `before` is the stamp of the input before.
     """
     elapsed = (stamp - before) * 1e-9
     if given & _INPUT:

@@ -35,7 +35,7 @@ def continuous(encoder: Any, stretch: int, angle: float, counter: float) -> floa
 
 @part
 def _period(reach: float, counter: float) -> float:
-    """After what an encoder with such a reach starts again [rad]: a turn, 16 or 32 bits of counts, never."""
+    """Angle after which an encoder of such a range starts again [rad]: a turn, 16 or 32 bits, never."""
     if reach <= _TURN + _ROUNDING:
         return _TURN
     if counter > _TURN and reach <= counter:

@@ -85,7 +85,7 @@ def evaluate(
 ) -> Evaluation:
     """Quantities of a mesh at any number of moments; nan where no flank can bear the torque.
 
-    What none of the `wanted` criteria needs is nan, too.
+    Quantities that no `wanted` criterion needs are nan, too.
 
     The moments are wave generator angles theta_W [rad] and displacements of its centre in the housing, x + iy
     [m], each (n,); the mesh's own eccentricity and runout do not count. Torques are M on the cup (q,) [N m];
@@ -96,8 +96,8 @@ def evaluate(
     -----
     Interference as in Dong et al. (2019), section 4.2: tooth 0 stays on the axis although the wave generator
     is displaced across it (eq. 1), so the arc offset is ``s_0 = -E_across``; a tooth's backlash is the lesser
-    of its two flanks; the least of the lobe at tooth 0 counts, for at the other lobe the displacement points
-    the other way.
+    of its two flanks; the least of the lobe at tooth 0 counts, because at the other lobe the displacement
+    points the other way.
     """
     from hd_diag.tolerance import kernel  # here, because numba takes its time
 
@@ -135,8 +135,8 @@ def reference_stiffness(drive: Drive, cup_torque: Floats) -> Floats:
 def cup_torques(drive: Drive, torque: Floats) -> Floats:
     """Torques on the cup for torques that the drive exerts on the link [N m].
 
-    Raises ValueError if one is zero or not finite, for stiffness and load distribution are those under load,
-    or beyond :data:`LARGEST_TORQUE`.
+    Raises ValueError if one is zero or not finite, because stiffness and load distribution are those under
+    load, or if one is beyond :data:`LARGEST_TORQUE`.
     """
     for value in torque:
         if value == 0.0 or not math.isfinite(value):
@@ -167,7 +167,7 @@ def of_moments(found: Evaluation, cup_compliance: float, reference: Floats) -> F
 def over_turns(found: Evaluation, turns: int, cup_compliance: float, reference: Floats) -> Floats:
     """Worst of every criterion over each of several turns of the wave generator (6, turns, q).
 
-    The moments evaluated are those of one turn after the other, as many of each.
+    The moments are those of one turn after the other, equally many of each.
     """
     values = of_moments(found, cup_compliance, reference)
     worst = values.reshape(len(values), turns, -1, reference.size).max(axis=2)

@@ -39,8 +39,8 @@ CHART_STEPS = 24
 _MOST = 1e9  # stands for an infinite value, where no flank can bear the torque: a finite step
 _ROUNDING = 1e-9  # share of a limit by which the worst at its crossing may exceed it [-]
 
-# Nothing of a mesh changes when it is turned by a slot pitch together with its eccentricity. The worst is
-# therefore looked for over the eccentricity's angle from the long axis and the wave generator's in a pitch.
+# A mesh that is turned by a slot pitch together with its eccentricity stays the same. The search therefore
+# covers the eccentricity's angle from the long axis and the wave generator's angle within a pitch.
 _SCAN = (36, 4)
 _SEARCH, _SEARCH_OF_JUMPS = (72, 8), (72, 16)
 _TURN_DIRECTIONS, _TURN_PHASES = 4, 6  # within a slot pitch: of the eccentricity, of the wave generator
@@ -103,7 +103,7 @@ def input_angle(drive: Drive, wave_generator_angle: float) -> float:
 
 
 def largest_eccentricity(drive: Drive) -> float:
-    """How far to look: a fifth of the module, and not where the mesh cannot be displaced to [m]."""
+    """How far to look [m]: a fifth of the module, but no farther than the mesh can be displaced."""
     geometry = drive.mesh.geometry
     return min(0.2 * geometry.module, _ROOM * largest_displacement(geometry)[0])
 
@@ -132,8 +132,8 @@ def first_excess(
     `leaning` is the tilt's share of it. The drive's own eccentricity and tilt do not count; its runout stays.
     The torque is that on the cup [N m].
 
-    The value need not rise with the displacement: of :data:`STEPS` steps the first that brings an excess is
-    solved (Brent), for a criterion that jumps within one of its :data:`FINE_STEPS` parts. An excess that
+    The value need not rise with the displacement. The first of :data:`STEPS` steps with an excess is solved
+    (Brent); for a criterion that jumps, the first of its :data:`FINE_STEPS` parts. An excess that
     comes and goes within a step is missed.
     """
     search = _Search(drive, cup_torque, criterion, leaning)
@@ -204,7 +204,7 @@ def _crossing(
     solved: Callable[[float, float], float],
     parts: int = 1,
 ) -> float:
-    """Where an excess first comes, looked for in parts of a step; nan if it does not.
+    """Where an excess first occurs, searched in parts of a step; nan if it does not.
 
     Between a size without it and one with it, it is `solved`. The steps that a scan found ``above`` are
     nearly those of the excess: it may come one earlier, or later.
@@ -239,7 +239,7 @@ def frontier(
 
 
 def _straight(sizes: Floats, excess: Floats) -> float:
-    """Where an excess at rising sizes first comes, straight between them; nan if it does not."""
+    """Where an excess at rising sizes first occurs, linear between them; nan if it does not."""
     first = int(np.argmax(excess > 0.0))
     if not excess[first] > 0.0:
         return math.nan
@@ -251,7 +251,7 @@ def _straight(sizes: Floats, excess: Floats) -> float:
 
 
 class _Search:
-    """One criterion of one drive at one torque; of a displacement the tilt has a share."""
+    """One criterion of one drive at one torque; the tilt has a share of a displacement."""
 
     def __init__(self, drive: Drive, cup_torque: float, criterion: str, leaning: float = 0.0) -> None:
         self.drive = drive = replace(drive, mesh=replace(drive.mesh, tilt=0.0))
@@ -287,7 +287,7 @@ class _Search:
     def _solved(self, excess: Callable[[float], float], limit: float, low: float, high: float) -> float:
         """Where the limit is crossed between a displacement within it and one beyond, over all directions.
 
-        Along the place of the worst beyond it, which costs a tenth: until nothing is worse anywhere else.
+        It follows the place of the worst beyond, at a tenth of the cost, until no other place is worse.
         """
         while high - low > ROOT_TOLERANCE:
             beside = partial(self._excess_beside, self.worst(high), limit)
@@ -301,7 +301,7 @@ class _Search:
         return high
 
     def _excess_beside(self, worst: Worst, limit: float, size: float) -> float:
-        """By how much the worst near the place of another displacement's exceeds the limit."""
+        """By how much the worst near the place of another displacement's worst exceeds the limit."""
         if NAMES[self.index] == "transmission_error":
             return min(self._width(size, worst.direction).value, _MOST) - limit
         turn = worst.wave_generator_angle
@@ -386,8 +386,8 @@ def _hills(values: Floats) -> Integers:
 def _climbed(function: Callable[[Floats], Floats], centers: Floats, step: Floats) -> tuple[Floats, float]:
     """Place (d,) of the greatest value near some places (m, d), and the value, by grids that narrow.
 
-    The function takes points (n, d) and gives values (n,); the first grids have so many steps (d,). Of
-    images of one place it is the one with the least angle, the first coordinate, within a turn.
+    The function takes points (n, d) and gives values (n,); the first grids have so many steps (d,). Among
+    images of one place, the one with the least angle (the first coordinate) within a turn is taken.
     """
     dimensions = centers.shape[1]
     side = np.linspace(-1.0, 1.0, 2 * _BESIDE + 1)

@@ -43,7 +43,7 @@ def limits_and_spreads(flat: Mapping[str, Value], joint: str) -> tuple[dict[str,
 def with_allowed(found: Diagnosis, flat: Mapping[str, Value], joint: str) -> Diagnosis:
     """The diagnosis with what the configured drive may have, as ``hd-diag tolerance`` says it.
 
-    At the rated torque, within the joint's limits among parameters by their full names. As it is where no
+    At the rated torque, within the joint's limits among parameters by their full names. Unchanged if no
     eccentricity is known, no limit is reached, or the teeth cannot bear the torque.
     """
     if not Answer(found).eccentricity > 0.0:

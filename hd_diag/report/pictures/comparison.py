@@ -161,7 +161,7 @@ def remainders(curves: Sequence[Curve]) -> Figure:
 
 @drawn
 def evidence(weighed: Mapping[str, Mapping[str, float]]) -> Figure:
-    """By how much others are worse in the place of each cause: log odds by name, of nothing the empty one."""
+    """By how much rivals of each cause are worse: log odds by name; the empty name means no cause."""
     rows = [(name, other, -odds[other]) for name, odds in weighed.items() for other in _by_odds(name, odds)]
     figure, (axes,) = sheet(0.9 + 0.42 * len(rows))
     for place, (name, other, worse) in enumerate(rows):
