@@ -283,6 +283,19 @@ def test_a_replay_takes_what_it_needs(tmp_path: Path) -> None:
         assert counts["/joint_states"] == counts["/hd_diag/residual"] == COUNT
 
 
+def database_of(folder: Path, *updates: str, states: int = COUNT) -> Path:
+    """A rosbag2 folder of joint states, its database changed afterwards by SQL."""
+    with RosbagsWriter(folder, version=9) as writer:
+        joints = writer.add_connection("/joint_states", JOINT_STATE, typestore=jazzy())
+        for row, now in zip(STATES[:states], STAMPS[:states].tolist(), strict=True):
+            writer.write(joints, now, row.tobytes())
+    with closing(sqlite3.connect(folder / f"{folder.name}.db3")) as db:
+        for update in updates:
+            db.execute(update)
+        db.commit()
+    return folder
+
+
 PEAK_OF_READING = """
 import sys
 from pathlib import Path
@@ -306,14 +319,8 @@ print(read(sys.argv[2]), recover(sys.argv[2], "saved.mcap").counts, peak() - bef
 @pytest.mark.parametrize("content", ["zeroblob(100000000)", "hex(zeroblob(50000000))"])
 def test_what_sqlite_takes_for_a_long_row_is_bounded_too(content: str, tmp_path: Path) -> None:
     """Of 100 MB, as BLOB and as text, of which it reads all to say how long it is."""
-    for name in ("plain", "long"):
-        with RosbagsWriter(tmp_path / name, version=9) as writer:
-            joints = writer.add_connection("/joint_states", JOINT_STATE, typestore=jazzy())
-            for row, now in zip(STATES, STAMPS.tolist(), strict=True):
-                writer.write(joints, now, row.tobytes())
-    with closing(sqlite3.connect(tmp_path / "long" / "long.db3")) as db:
-        db.execute(f"UPDATE messages SET data = {content} WHERE id = 150")
-        db.commit()
+    database_of(tmp_path / "plain")
+    database_of(tmp_path / "long", f"UPDATE messages SET data = {content} WHERE id = 150")
     code = [sys.executable, "-c", PEAK_OF_READING, "plain", "long", "/joint_states"]
     run = subprocess.run(code, cwd=tmp_path, capture_output=True, text=True, check=True)
     read, *counts, more = run.stdout.split()
@@ -322,26 +329,16 @@ def test_what_sqlite_takes_for_a_long_row_is_bounded_too(content: str, tmp_path:
 
 
 def test_a_definition_that_would_fill_the_memory_is_refused(tmp_path: Path) -> None:
-    with RosbagsWriter(tmp_path / "bag", version=9) as writer:
-        writer.add_connection("/joint_states", JOINT_STATE, typestore=jazzy())
-    with closing(sqlite3.connect(tmp_path / "bag" / "bag.db3")) as db:
-        db.execute("UPDATE message_definitions SET encoded_message_definition = hex(zeroblob(20000000))")
-        db.commit()
-    result = hd_diag("topics", tmp_path / "bag")
+    update = "UPDATE message_definitions SET encoded_message_definition = hex(zeroblob(20000000))"
+    result = hd_diag("topics", database_of(tmp_path / "bag", update, states=0))
     assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
     assert "string or blob too big" in result.stderr
 
 
 def test_a_row_that_would_fill_the_memory_is_refused_alone(tmp_path: Path) -> None:
     """Of 100 MB, beside rows that can be read; it is no message where it is decoded."""
-    with RosbagsWriter(tmp_path / "bag", version=9) as writer:
-        joints = writer.add_connection("/joint_states", JOINT_STATE, typestore=jazzy())
-        for row, now in zip(STATES, STAMPS.tolist(), strict=True):
-            writer.write(joints, now, row.tobytes())
-    with closing(sqlite3.connect(tmp_path / "bag" / "bag.db3")) as db:
-        db.execute("UPDATE messages SET data = zeroblob(100000000) WHERE id = 150")
-        db.commit()
-    motion, peak = peak_of(lambda: read_motion([tmp_path / "bag"], one_joint()))
+    bag = database_of(tmp_path / "bag", "UPDATE messages SET data = zeroblob(100000000) WHERE id = 150")
+    motion, peak = peak_of(lambda: read_motion([bag], one_joint()))
     assert motion is not None
     assert (motion.time.size, motion.stamps.refused) == (COUNT - 1, 1)
     assert peak < 60e6
@@ -349,11 +346,6 @@ def test_a_row_that_would_fill_the_memory_is_refused_alone(tmp_path: Path) -> No
 
 def test_a_row_that_was_too_long_is_told_with_its_size(tmp_path: Path) -> None:
     """Also in a topic of which nothing else can be read."""
-    with RosbagsWriter(tmp_path / "bag", version=9) as writer:
-        joints = writer.add_connection("/joint_states", JOINT_STATE, typestore=jazzy())
-        writer.write(joints, 1, STATES[0].tobytes())
-    with closing(sqlite3.connect(tmp_path / "bag" / "bag.db3")) as db:
-        db.execute("UPDATE messages SET data = zeroblob(33554433)")
-        db.commit()
-    told = hd_diag("topics", tmp_path / "bag").output
+    bag = database_of(tmp_path / "bag", "UPDATE messages SET data = zeroblob(33554433)", states=1)
+    told = hd_diag("topics", bag).output
     assert "has 33554433 bytes, more than the 33554432 that are read" in told

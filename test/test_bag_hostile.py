@@ -14,16 +14,7 @@ from pathlib import Path
 import lz4.frame
 import pytest
 import zstandard
-from bag_samples import (
-    STRING,
-    accepts,
-    consume,
-    corpus,
-    damaged,
-    peak_of,
-    rosbag2_folder,
-    string_cdr,
-)
+from bag_samples import STRING, accepts, consume, corpus, damaged, peak_of, rosbag2_folder, string_cdr
 from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Chunk, Header, Metadata, Schema
 

@@ -62,12 +62,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
 
 
 GEAR = paper_method.Gear()
-MOMENTS = [
-    (0.0, 0.0, 56.0),
-    (0.3, 23e-6j, -56.0),
-    (7.7, 9e-6 + 4e-6j, 5.0),
-    (-4.1, -30e-6 + 1e-6j, -20.0),
-]
+MOMENTS = [(0.0, 0.0, 56.0), (0.3, 23e-6j, -56.0), (7.7, 9e-6 + 4e-6j, 5.0), (-4.1, -30e-6 + 1e-6j, -20.0)]
 
 
 @pytest.mark.parametrize(("turn", "eccentricity", "torque"), MOMENTS)

@@ -137,10 +137,7 @@ def test_slots_that_move_outward_open_the_flanks_and_soften_them() -> None:
     assert_allclose(found.rotation, contacts(mesh, angle).rotation, rtol=0, atol=1e-15)
     with np.errstate(divide="ignore"):  # where a flank cannot touch
         stiffness = [np.log(flank_stiffness(one, mesh.tooth_compliance)) for one in (inner, outer)]
-    for slope, low, high in (
-        (found.opening, inner.rotation, outer.rotation),
-        (found.softening, *stiffness),
-    ):
+    for slope, low, high in ((found.opening, inner.rotation, outer.rotation), (found.softening, *stiffness)):
         with np.errstate(invalid="ignore"):
             away = np.abs(slope - (high - low) / (2.0 * step))
         assert np.nanquantile(away, 0.99) < 1e-4 * np.nanmax(np.abs(slope))  # but where the contact jumps

@@ -561,16 +561,7 @@ def arguments(name: str) -> list[str]:
 
 def test_the_file_says_what_was_given_assumed_and_reached(tmp_path: Path) -> None:
     out, figure = tmp_path / "elbow.yaml", tmp_path / "pair.svg"
-    more = (
-        "--joint",
-        "elbow",
-        "--accuracy",
-        "1.0",
-        "--figure",
-        figure,
-        "--json",
-        tmp_path / "g.json",
-    )
+    more = ("--joint", "elbow", "--accuracy", "1.0", "--figure", figure, "--json", tmp_path / "g.json")
     result = hd_diag("gear", *arguments("20/160"), "--out", out, *more)
     assert result.exit_code == 0, result.output
     text = out.read_text()

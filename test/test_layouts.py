@@ -293,9 +293,7 @@ AGGREGATOR = yaml.safe_load((FOLDER / "diagnostic_aggregator.yaml").read_text())
 STRANGERS = ("hd_diagnostics: battery", "hd_diag", "hd_diag_watch: x", "my hd_diag: joint_1", "camera: j", "")
 
 
-def test_aggregator_shows_this_node_s_joints_alone(
-    messages: dict[str, Any],
-) -> None:
+def test_aggregator_shows_this_node_s_joints_alone(messages: dict[str, Any]) -> None:
     """As a GenericAnalyzer decides, by how a name begins alone."""
     assert set(ANALYZER) == {"type", "path", "timeout", "remove_prefix", "startswith"}
     assert ANALYZER["type"] == "diagnostic_aggregator/GenericAnalyzer"

@@ -13,11 +13,7 @@ from reference import polyline
 
 from hd_diag.model import load_sharing
 from hd_diag.model.contact import FLANKS, contacts
-from hd_diag.model.load_sharing import (
-    FlankTorsion,
-    MeshState,
-    torsion_of_flanks,
-)
+from hd_diag.model.load_sharing import FlankTorsion, MeshState, torsion_of_flanks
 from hd_diag.model.mesh import Mesh
 
 Array = polyline.Array

@@ -18,15 +18,7 @@ from hd_diag.model.contact import contacts
 TRUE = Exaggeration(1.0, 1.0)
 MARKERS = "visualization_msgs/msg/MarkerArray"
 STAMP = 1_760_000_000_123_456_789
-NAMES = [
-    "circular_spline",
-    "flexspline",
-    "wave_generator",
-    "long_axis",
-    "teeth",
-    "eccentricity",
-    "legend",
-]
+NAMES = ["circular_spline", "flexspline", "wave_generator", "long_axis", "teeth", "eccentricity", "legend"]
 
 
 def drive(**changes: float | str) -> Drive:

@@ -14,10 +14,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from hd_diag.config.configuration import resolve
 from hd_diag.messages.joint_states import JointStateReader
-from hd_diag.messages.publications import (
-    JOINT_STATE,
-    TEMPERATURE,
-)
+from hd_diag.messages.publications import JOINT_STATE, TEMPERATURE
 from hd_diag.monitor.carried import carried, carry_on
 from hd_diag.replay.recorded_monitor import EVENTS, PARAMETER_EVENTS, Session
 from hd_diag.replay.replay import replay

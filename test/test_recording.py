@@ -362,11 +362,7 @@ def test_empty_cells_are_missing_values(given: dict[str, np.ndarray], tmp_path: 
         ("t,motor,link,tau\n0,1,2,3\n", COLUMNS, "too short: 1 usable samples"),
         ("\xff\xfe", COLUMNS, "is empty"),
         (None, COLUMNS, "cannot be read"),
-        (
-            None,
-            {"time": "t", "input": "motor"},
-            "columns need output: one angle has no transmission error; ",
-        ),
+        (None, {"time": "t", "input": "motor"}, "columns need output: one angle has no transmission error; "),
         (
             None,
             {"time": "t", "output": "link"},
@@ -384,11 +380,7 @@ def test_empty_cells_are_missing_values(given: dict[str, np.ndarray], tmp_path: 
         ("t,motor,link,tau\n", {**COLUMNS, "output": "link[rpm]"}, "'rpm' is not a unit of output"),
         ("t,motor,link,tau\n", {**COLUMNS, "input": "motor*x"}, "has no column 'motor*x'"),
         (None, {**COLUMNS, "speed": "v"}, "columns cannot be 'speed'"),
-        (
-            None,
-            {"time": "t", "input": "m", "outputs": "l"},
-            "columns cannot be 'outputs'; ",
-        ),
+        (None, {"time": "t", "input": "m", "outputs": "l"}, "columns cannot be 'outputs'; "),
     ],
 )
 def test_a_bad_table_is_told_in_one_line(

@@ -270,7 +270,7 @@ def test_quality_counts_gaps_and_jitter() -> None:
 def test_settings_are_told_with_their_units() -> None:
     whole = configured(output_joint="link")
     told = dict(settings(whole.joints[0], whole.flat))
-    assert told["output_joint"] == "link"
+    assert (told["output_joint"], told["teeth"]) == ("link", "those of the example drive")
     assert told["tooth_compliance"] == f"{configured().flat['joint_1.tooth_compliance']} m/N"
     assert not [name for name in told if name.startswith("limits.")]
 

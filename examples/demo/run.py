@@ -155,10 +155,7 @@ def _processes(folder: Path, seconds: float) -> Iterator[tuple[Child, Child]]:
     of_ros = ["-m", "hd_diag.ros.node", "--ros-args", "--params-file", str(node)]
     script = str(Path(__file__).resolve().with_name("simulated_joint.py"))
     of_motion = [script, "--config", str(joint), "--seconds", length, "--rate", str(_RATE)]
-    with (
-        Child(of_ros, folder / "node.txt") as first,
-        Child(of_motion, folder / "joint.txt") as second,
-    ):
+    with Child(of_ros, folder / "node.txt") as first, Child(of_motion, folder / "joint.txt") as second:
         yield first, second
 
 

@@ -149,11 +149,7 @@ def _show_tilts(question: Question, tilts: Tilts) -> None:
 
 
 def _limit_table(
-    question: Question,
-    title: str,
-    unit: str,
-    most: float,
-    row: list[tuple[limit.DisplacementLimit, float]],
+    question: Question, title: str, unit: str, most: float, row: list[tuple[limit.DisplacementLimit, float]]
 ) -> Table:
     """Limits with what reaches them, in its unit, and the most that was looked at."""
     columns = ("limit", "without", f"at\n{unit}", "direction\n[rad]", "\n[deg]", "input\n[rad]")

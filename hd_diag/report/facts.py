@@ -13,7 +13,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.config.configuration import JointConfig
-from hd_diag.config.defaults import page_of
+from hd_diag.config.defaults import EXAMPLE, page_of
 from hd_diag.config.parameters import JOINT_PARAMETERS, SIGNALS, Value
 from hd_diag.diagnosis.action import Advice, advice, cannot_be_judged
 from hd_diag.diagnosis.diagnosis import Diagnosis
@@ -214,6 +214,8 @@ def settings(joint: JointConfig, flat: Mapping[str, Value]) -> tuple[Fact, ...]:
             found.append(Fact(entry.name, f"{flat[key]} {unit}".strip() or "none"))
     if _page(joint, flat):
         found.append(Fact("of a page", ASSUMED_PROFILE))
+    elif joint.configured.mesh.geometry == EXAMPLE.mesh.geometry:
+        found.append(Fact("teeth", "those of the example drive"))
     return tuple(found)
 
 

@@ -171,11 +171,7 @@ def over_time(found: Stages) -> OverTime:
 
 
 def band(
-    place: Floats,
-    value: Floats,
-    edges: Floats,
-    ends: tuple[float, float] = (LOW, HIGH),
-    least: int = _LEAST,
+    place: Floats, value: Floats, edges: Floats, ends: tuple[float, float] = (LOW, HIGH), least: int = _LEAST
 ) -> Band:
     """Means and spread of samples, shape (n,), in bins with rising edges, shape (bins + 1,).
 

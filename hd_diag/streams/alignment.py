@@ -33,17 +33,7 @@ import numpy as np
 
 from hd_diag.arrays import Bytes, Floats, Integers, Times
 from hd_diag.streams.columns import BLOCKS, LARGEST_ANGLE, LARGEST_TORQUE, JointStates
-from hd_diag.streams.rules import (
-    INPUT,
-    JOINT,
-    LONGEST_HOLD,
-    NEVER,
-    OUTPUT,
-    REMEMBERED,
-    Given,
-    Reason,
-    unseen,
-)
+from hd_diag.streams.rules import INPUT, JOINT, LONGEST_HOLD, NEVER, OUTPUT, REMEMBERED, Given, Reason, unseen
 
 # Of JOINT, as in Names.
 _CONFIGURED = ["assumed_torque", "input_factor", "velocity_ratio", "input_counter", "output_counter"]

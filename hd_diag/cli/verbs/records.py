@@ -120,9 +120,7 @@ def fleet() -> None:
 @options.records
 @options.TIME_LIMIT
 @click.option(
-    "--out",
-    type=options.PAGE,
-    help="Write the page here. [default: the first bag's name with .html]",
+    "--out", type=options.PAGE, help="Write the page here. [default: the first bag's name with .html]"
 )
 @options.JSON
 def report() -> None:
