@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from live import MS, START, parameters, sample
 from logs import content
-from running import Rig, children, feed, running, values_of
+from running import Rig, children, feed, running, stamp_of, values_of
 
 pytestmark = pytest.mark.usefixtures("ros")
 
@@ -20,6 +20,7 @@ NOISE = 1e-3  # of an encoder at rest [rad]
 SLOW = 0.5  # speed of an input [rad/s]
 MOTION = 1.0  # after which the node diagnoses [s]
 AFTER = 1.0  # what a snapshot holds of the time after a fault [s]
+TICK = 0.01  # by which a file may be dated too early: the kernel's clock for files is that coarse [s]
 PATIENT = {f"joint_1__limits__silence__{level}": 1e6 for level in ("warn", "error")}
 
 
@@ -28,6 +29,11 @@ def states(rig: Rig) -> set[str]:
     rig.drain()
     found = [values_of(status)["diagnosis_state"] for array in rig.reports for status in array.status]
     return {said.partition(" ")[0].rstrip(":") for said in found}
+
+
+def reported(rig: Rig, number: int) -> float:
+    """When the node made a report [s since 1970]."""
+    return 1e-9 * stamp_of(rig.reports[number])
 
 
 def parameter_files(folder: Path) -> list[Path]:
@@ -54,12 +60,13 @@ def test_it_diagnoses_after_so_much_motion_and_again(tmp_path: Path) -> None:
         publisher, stamps = rig.publisher(), itertools.count(START, 10 * MS)
         move(publisher, stamps, 2.0 * MOTION, 0.0)
         assert (states(rig), parameter_files(tmp_path)) == ({"none"}, [])
-        begin = time.monotonic()
+        stood = reported(rig, -1)
         for number in (1, 2):
             while len(parameter_files(tmp_path)) < number:
                 feed(publisher, stamps, 5, 100.0)
                 rig.drain()
-            assert time.monotonic() - begin > number * MOTION - 0.2  # four reports
+            begun = max(file.stat().st_mtime for file in parameter_files(tmp_path))
+            assert begun - stood > number * MOTION - TICK
             rig.values("joint_1", lambda values: values["diagnosis_state"].startswith("failed: "))
         assert "at least half a turn is needed" in rig.values("joint_1")["diagnosis_state"]
 
@@ -84,11 +91,13 @@ def test_it_diagnoses_a_fault_once_with_what_was_before_and_after(tmp_path: Path
         publisher, stamps = rig.publisher(), itertools.count(START, 10 * MS)
 
         def fault(sent: int) -> float:
-            """One that begins after so many samples; when it did."""
+            """One that begins after so many samples; when the node first told it [s since 1970]."""
             feed(publisher, stamps, sent, 100.0)
+            seen = len(rig.reports)
             assert rig.set(joint_1__eccentricity__magnitude=60e-6)[0].successful
             rig.values("joint_1", lambda values: "INTERFERENCE" in values["fault_codes"])
-            return time.monotonic()
+            codes = [values_of(array.status[0])["fault_codes"] for array in rig.reports]
+            return reported(rig, next(n for n in range(seen, len(codes)) if "INTERFERENCE" in codes[n]))
 
         fault(100)
         rig.values("joint_1", lambda values: values["log_state"].startswith("writing"))
@@ -98,14 +107,16 @@ def test_it_diagnoses_a_fault_once_with_what_was_before_and_after(tmp_path: Path
         rig.values("joint_1", lambda values: "INTERFERENCE" not in values["fault_codes"])
 
         begin = fault(150)
-        feed(publisher, stamps, 30, 100.0)
+        feed(publisher, stamps, 30, 1000.0)
+        were_in_time = time.time() - begin < 0.5 * AFTER
         (child,) = rig.until(lambda: children(rig.process.popen.pid, b"diagnose"), "process")
-        assert time.monotonic() - begin > AFTER - 0.2  # four reports
         os.kill(child, signal.SIGKILL)
         rig.values("joint_1", lambda values: values["diagnosis_state"] == "failed: was ended by SIGKILL")
         feed(publisher, stamps, 50, 100.0)  # the fault goes on
         assert "INTERFERENCE" in rig.values("joint_1")["fault_codes"]
-        assert len(parameter_files(tmp_path)) == 1
+        (begun,) = (file.stat().st_mtime for file in parameter_files(tmp_path))
+        assert begun - begin > AFTER - TICK
         assert {"none", "waits", "diagnoses", "failed"} >= states(rig) >= {"waits", "failed"}
     (bag,) = {file.parent for file in parameter_files(tmp_path)}
-    assert len(content(bag)[f"{rig.process.namespace}/joint_states"]) == 180
+    held = len(content(bag)[f"{rig.process.namespace}/joint_states"])
+    assert held == 180 or (not were_in_time and 150 <= held < 180)  # a busy machine may be late with the last

@@ -112,6 +112,7 @@ def test_it_diagnoses_without_losing_a_sample(rig: Rig, player: Player) -> None:
     assert asked[0], asked
     ok, busy = rig.call("diagnose")
     assert (ok, time.monotonic() - begin < 10.0) == (False, True)
+    assert busy.startswith("~/diagnose: one is under way: ")
     assert asked[1] in busy
     sent = player.play(1.0, 1, ())
     rig.until(lambda: Path(asked[1]).is_file(), "verdict", PATIENCE)

@@ -23,10 +23,14 @@ from hd_diag.monitor.settings import MonitorConfig
 from hd_diag.streams.alignment import Aligned, Alignment, kernel
 from hd_diag.streams.columns import LARGEST_TEMPERATURE, JointStates
 
-_TOGETHER = 4  # joints whose per-tooth arrays are of one time
+# Joints whose per-tooth arrays are of one time: of seven at 1 kHz all work is a sixth less than with one, and
+# holds up messages hardly longer; all seven together hold them up for half as long again.
+_TOGETHER = 4
 _NEVER = -(2**62)  # number of a period
 _ORDERED = "stamp", "input_angle", "output_angle", "torque", "residual"  # what the orders are followed in
-_FOLLOWED = 2048  # samples that are taken into the residual's orders at once: a report may be far
+# Samples that are taken into the residual's orders at once, for a report may be far: half a millisecond
+# of work, 0.2 us each, where of 256 each takes 0.5.
+_FOLLOWED = 2048
 
 
 class Monitor:

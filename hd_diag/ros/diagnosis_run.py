@@ -105,7 +105,7 @@ class DiagnosisRun:
                 stderr=said,
                 start_new_session=True,
             )
-        self._tell(f"diagnoses {len(files)} files: {places[0]}")
+        self._tell(f"diagnoses {len(files)} file{'s' * (len(files) > 1)}: {places[0]}")
 
     def _keep(self, files: Sequence[Path]) -> list[Path]:
         """Those of some files that are still there; until this ends the log deletes none of them."""

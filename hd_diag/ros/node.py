@@ -24,6 +24,7 @@ from rclpy.impl.logging_severity import LoggingSeverity
 from rclpy.logging import get_logger, set_logger_level
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
 from rclpy.utilities import ok, try_shutdown
 
 from hd_diag.bag import RELIABLE
@@ -61,10 +62,7 @@ from hd_diag.streams.rules import CLOCK_JUMP
 
 _QOS = RELIABLE._replace(depth=INPUT_DEPTH)
 _LOOP_PERIOD = 0.05  # longest sleep between looks at the clock, the log and finished maps [s]
-_DRAIN_PERIOD = 0.01  # longest time in which what DDS holds is taken [s]
-_IDLE = 3  # turns of the executor without a message, after which DDS has none: others' events stand between
-_GATHER = 0.008, 0.016  # least and longest time from some samples to the next, while these come faster [s]
-_REST = 16.0  # between these it is so many times as long as the last samples took
+_GATHER = 1.0 / 60.0  # time from some samples to the next, while these come faster: that of a picture [s]
 _TOGETHER = 64  # most messages that are processed at once
 _BEHIND = 0.1  # age of a sample: beyond it the node does less of its other work [s]
 _CATCH_UP = 0.5  # longest that a change waits for samples of before [s]
@@ -114,8 +112,8 @@ class DiagnosticNode(Node):
         ]
         self._seen = Publishers(self, self._inputs)
         self._withheld = Withheld(self, self._inputs)
-        self._told_lost, self._busy, self._worked, self._took, self._paced = 0, 0.0, 0.0, 0.0, 0.0
-        self._others = 0  # messages taken that are no samples
+        self._told_lost, self._busy, self._worked, self._paced = 0, 0.0, 0.0, 0.0
+        self._never = Future()
         self._turned, self._stood_still = math.inf, 0.0  # begin of the last turn, longest time of one [s]
         for joint in config.joints:
             if joint.signals.temperature is None:
@@ -128,11 +126,8 @@ class DiagnosticNode(Node):
         refused = "parameters were accepted and are not in force"
         self._server.serve(partial(self._survive, refused, self._put_in_force))
 
-    def housekeeping(self) -> float:
-        """Do what is due by the clock: reports, finished maps, the log's flush, the publishers' reliability.
-
-        Gives the time until something may be due again [s].
-        """
+    def housekeeping(self) -> None:
+        """Do what is due by the clock: reports, finished maps, the log's flush, looks at publishers."""
         now = time.monotonic()
         if now >= self._next_look:
             if self._log.flush_if_due():
@@ -152,26 +147,24 @@ class DiagnosticNode(Node):
                 if self._log.split_if_due(self._last_time):  # no sample waits for a report that would miss it
                     self._session.start_again(self._now())
             self._next_look = min(now + _LOOP_PERIOD, self._next_report)
-        return max(0.0, self._next_look - now)
 
     def spin_once(self, executor: Any) -> None:
         """Do what is due, take what has come, work on the oldest samples; the node survives it all.
 
-        Samples gather for a moment after those before, the longer the more work these were: taken together
-        each costs less than half. One that comes later, as at a lower rate, does not wait.
+        Samples gather for a moment after those before: taken together each costs less than a third. One that
+        comes later, as at a lower rate, does not wait.
         """
         begin = time.monotonic()
         self._stood_still, self._turned = max(self._stood_still, begin - self._turned), begin
-        pause = self.housekeeping()
+        self.housekeeping()
         try:
+            if not self._waiting and not self._is_simulated:
+                until = min(self._worked + _GATHER, self._next_report)
+                time.sleep(max(0.0, until - time.monotonic()))
+            # All at once costs half of one by one; what waits in DDS may be dropped there, silently.
+            executor.spin_until_future_complete(self._never, timeout_sec=0.0)
             if not self._waiting:
-                time.sleep(max(0.0, min(pause, self._worked + self._gather - time.monotonic())))
-            executor.spin_once(timeout_sec=0.0 if self._waiting else pause)
-            now, idle = time.monotonic(), 0  # what waits in DDS may be dropped there, silently
-            while idle < _IDLE and time.monotonic() - now < _DRAIN_PERIOD:
-                taken = self._taken
-                executor.spin_once(timeout_sec=0.0)
-                idle = 0 if self._taken != taken else idle + 1
+                executor.spin_once(timeout_sec=max(0.0, self._next_look - time.monotonic()))
         except ExternalShutdownException:
             raise
         except Exception as error:  # samples wait: no pause, whatever goes wrong
@@ -180,16 +173,10 @@ class DiagnosticNode(Node):
             self._work()
 
     @property
-    def _gather(self) -> float:
-        """Samples do not gather [s] by simulated time: each message of the clock is one more to take."""
-        clock, (least, longest) = self.get_clock(), _GATHER
-        is_simulated = isinstance(clock, ROSClock) and clock.ros_time_is_active
-        return 0.0 if is_simulated else min(max(least, _REST * self._took), longest)
-
-    @property
-    def _taken(self) -> int:
-        """Messages taken from DDS, with those of a fast clock between the samples."""
-        return self._waiting.taken + self._others
+    def _is_simulated(self) -> bool:
+        """Whether time is simulated: then each message of the clock is one more to take, and may not wait."""
+        clock = self.get_clock()
+        return isinstance(clock, ROSClock) and clock.ros_time_is_active
 
     def close(self) -> None:
         """Report once more and finish the log."""
@@ -238,8 +225,7 @@ class DiagnosticNode(Node):
         for _ in some if error is not None else ():
             self._session.monitor.reject(f"{type(error).__name__}: {error}")
         self._latencies.append(time.perf_counter_ns() - begin)
-        self._took = self._latencies[-1] * 1e-9
-        self._busy += self._took
+        self._busy += self._latencies[-1] * 1e-9
         self._worked = time.monotonic()
 
     def _signals(self, some: Sequence[tuple[SignalTopic, Reader, bytes]]) -> None:
@@ -251,7 +237,6 @@ class DiagnosticNode(Node):
         self._session.messages(received, [(reader, data) for _, reader, data in some], heard)
 
     def _temperature(self, joint: str, data: bytes) -> None:
-        self._others += 1
         self._log.write(self._names[temperature_topic(joint)], TEMPERATURE, data, self._now())
         self._session.temperature(joint, data)
 
@@ -301,7 +286,6 @@ class DiagnosticNode(Node):
 
         Samples may come a little before their clock: those that are less than half the jump ahead are new.
         """
-        self._others += 1
         if jump.delta.nanoseconds > 0:
             return
         self._catch_up()

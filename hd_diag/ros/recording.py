@@ -141,7 +141,7 @@ class Recording:
         """Have the log's last minutes in files, to be diagnosed once they are whole; where the result is."""
         config, self._moved = self._session.config.log, 0.0
         if self._run.is_busy:
-            raise BagError("~/diagnose", self._run.facts["diagnosis_state"])
+            raise BagError("~/diagnose", f"one is under way: {self._run.facts['diagnosis_state']}")
         if config.mode == "snapshot":
             self._record(after)
         elif not self._log.is_recording and not self._files():

@@ -190,12 +190,12 @@ def _with_info(take: Callable[[bytes, Mapping[str, Any]], None]) -> Callable[...
 class Waiting:
     """Messages that wait for their turn, bounded by bytes: the oldest give way.
 
-    DDS drops silently what its reader has no room for; so all is taken from it at once. How many were `taken`
-    and `dropped` is counted; `longest` is the longest that one waited, until somebody sets it back [s].
+    DDS drops silently what its reader has no room for; so all is taken from it at once. How many were
+    `dropped` is counted; `longest` is the longest that one waited, until somebody sets it back [s].
     """
 
     def __init__(self) -> None:
-        self.taken = self.dropped = self._bytes = 0
+        self.dropped = self._bytes = 0
         self.longest = 0.0
         self._messages: deque[tuple[float, tuple[SignalTopic, Reader, bytes]]] = deque()
 
@@ -209,7 +209,6 @@ class Waiting:
 
     def put(self, source: SignalTopic, reader: Reader, data: bytes, waited: float = 0.0) -> None:
         """Append a message that has waited elsewhere [s]; the oldest are dropped beyond `MOST_BYTES`."""
-        self.taken += 1
         self._bytes += len(data) + OBJECTS
         self._messages.append((time.monotonic() - waited, (source, reader, data)))
         while self._bytes > MOST_BYTES and len(self._messages) > 1:

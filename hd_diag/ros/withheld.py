@@ -47,7 +47,7 @@ class _Beside:
             self._reader = SecondReader(self._node, "_hd_diag_beside", self._taken, _DEPTH)
         own = [identity(info) for _, info in self._reader.take()] if wanted else []
         arrived = self._arrived | {each: now for each in own if each is not None} if wanted else {}
-        given = set(self._taken.given)
+        given = set(self._taken.given) if arrived else set()
         self._arrived = {each: since for each, since in arrived.items() if each not in given}
         if now - min(self._arrived.values(), default=now) > _WITHHELD:
             self._taken.begin_anew(number for _, number in self._arrived)
