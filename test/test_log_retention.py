@@ -3,14 +3,16 @@
 import logging
 import os
 import re
+import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 from bag_samples import STRING, string_cdr
 from live import START
 
-from hd_diag.bag import BagReader, BagWriter, LogFolder, Retention
+from hd_diag.bag import RELIABLE, BagReader, BagWriter, LogFolder, Retention, retention
 from hd_diag.bag.retention import delete, surplus
 from hd_diag.config.configuration import LogConfig
 from hd_diag.ros.diagnosis_run import DiagnosisRun
@@ -171,6 +173,39 @@ def test_what_a_diagnosis_reads_and_writes_stays_until_it_has_ended(tmp_path: Pa
     files[0].write_bytes(b"")
     delete(files[0])
     assert not verdict.parent.exists()
+
+
+def test_a_diagnosis_and_the_deletion_of_old_files_may_begin_together(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither does what a diagnosis has begun to read go, nor does one begin with what is on its way out."""
+    goes_on = threading.Event()
+
+    def slowly(file: Path, own: Sequence[Path]) -> None:
+        goes_on.wait(30.0)
+        delete(file, own)
+
+    monkeypatch.setattr(retention, "delete", slowly)
+    writer, diagnosis = log(tmp_path / "arm", 0, split_size=1), DiagnosisRun(print, logging.getLogger())
+    for number in range(20):
+        writer.split_if_due(START + number)
+        writer.write("/x", STRING, TEXT, START + number, RELIABLE)
+        writer.flush_if_due()
+    every, keeper = writer._writer.paths, Retention(LogFolder(tmp_path / "arm"), 1, 0.0)  # type: ignore[union-attr]
+    writer._retention = keeper
+    assert writer.finished(0.0) == every[:-1]
+    writer.flush_if_due()
+    assert keeper._job is not None
+    assert keeper._job.result() == every[:-1]  # all that are to go
+    diagnosis._keep(every[:3])
+    writer.flush_if_due()
+    assert writer.finished(0.0) == every[:3]
+    goes_on.set()
+    keeper._job.result()
+    assert [file.exists() for file in every] == [True] * 3 + [False] * 16 + [True]
+    diagnosis.close()
+    writer.close()
+    assert messages_in(every[0].parent) == 4
 
 
 def test_a_file_that_cannot_be_deleted_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

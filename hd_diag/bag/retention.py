@@ -71,7 +71,8 @@ class LogFolder:
 class Retention:
     """Keeps a folder within a size [byte] and an age [s], in a thread: a disk may be slow.
 
-    0 stands for no limit. `problem` says what cannot be deleted.
+    0 stands for no limit. `problem` says what cannot be deleted. `going` are the files that are being
+    deleted: who begins to read leaves them out.
     """
 
     def __init__(self, folder: LogFolder, most_bytes: int, most_age: float) -> None:
@@ -79,6 +80,7 @@ class Retention:
         self._job: Future[list[Path]] | None = None
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="log retention")
         self.problem = ""
+        self.going: Sequence[Path] = ()
 
     def look(self, writer: BagWriter | None, now: float, at_once: bool = False) -> None:
         """Look now and then, or at once, for files to delete; BagError if the writer's metadata fail."""
@@ -87,6 +89,7 @@ class Retention:
             return
         own = writer.paths if writer is not None and writer.error is None else []
         found, self._job = self._job.result() if self._job is not None else [], None
+        self.going = found = [file for file in found if not _is_held(file)]  # since then read by a diagnosis
         if writer is not None and any(path in own for path in found):
             writer.take_away(found)
         if found:

@@ -279,17 +279,19 @@ def _wrong_torque(record: Record, configured: Drive) -> Finding | None:
 def _twist(record: Record, configured: Drive) -> tuple[float, float]:
     """Torsion over the configured one at the same torque, with its standard deviation [-].
 
-    Beside waves of the output's turn and without them, the smaller: gravity goes with the place, and what
-    misses the torsion's shape may put one on top of the other with any sign. Zero where the two signs differ.
+    Beside waves of the output's turn and the speed, and without either, the smallest: gravity goes with the
+    place, a joint that starts has its torque rise with its speed, and what misses the torsion's shape may put
+    one on top of the other with any sign. Zero where the signs differ.
     """
     some = record.thinned(_MOST_ROWS)
     output = some.input_angle / configured.kinematics.ratio
     torsion, _, _ = fit_parameters.along(configured, configured, some.input_angle, some.torque)
-    columns, waves = [np.nan_to_num(torsion), some.speed, np.sign(some.speed)], turning(output)
-    found = [regression([*columns, *more], some.output_angle - output, some.bag) for more in (waves.T, ())]
+    column, motion, waves = np.nan_to_num(torsion), (some.speed, np.sign(some.speed)), turning(output).T
+    beside = (*motion, *waves), motion, waves, ()
+    found = [regression([column, *more], some.output_angle - output, some.bag) for more in beside]
     factors = [(float(one.value[0]), float(one.deviation[0])) for one in found]
     factor, spread = min(factors, key=lambda one: abs(one[0]))
-    return (factor if factors[0][0] * factors[1][0] > 0.0 else 0.0), spread
+    return (factor if all(factor * each > 0.0 for each, _ in factors) else 0.0), spread
 
 
 def without_misleading_torque(

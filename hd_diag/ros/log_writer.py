@@ -175,10 +175,10 @@ class LogWriter:
     def finished(self, since: float) -> list[Path]:
         """Files of this start that hold inputs, are finished, and changed after a time [s since 1970]."""
         open_file = self._writer.paths[-1] if self._writer is not None else None
-        found = []
+        found, others = [], {open_file, *self._retention.going}
         for file in self._with_input:
             with suppress(OSError):  # it may have been deleted
-                found += [file] if file != open_file and file.stat().st_mtime >= since else []
+                found += [file] if file not in others and file.stat().st_mtime >= since else []
         self._with_input = dict.fromkeys(found) | ({open_file: None} if self._has_input and open_file else {})
         return found
 
