@@ -1,22 +1,22 @@
 """Messages of joints to aligned samples, live and offline: the rules for clocks, pairs and torques.
 
 * **A stamp of zero counts as missing.** The time of reception takes its place, and such messages are counted;
-a mapping may ask for this everywhere (``stamp: reception``). A step from such a stamp back to one of a header
-does not count as a clock set back.
+  a mapping may ask for this everywhere (``stamp: reception``). A step from such a stamp back to one of a
+  header does not count as a clock set back.
 * **Stamps rise.** A stamp that repeats the last, or is at most `CLOCK_JUMP` before it, is late: refused. One
   further back is of a clock that was set back: the joint's stream starts again (a new `stretch`), and nothing
   of before is used with what comes after.
 * **Pairs.** Input and output angle of one message belong together. An output angle that comes apart waits for
   the input angle at its own stamp: interpolated between two inputs that are at most `PAIRING_GAP` apart.
 * **Torque.** A sample has the last torque reported up to its stamp, if that is at most `LONGEST_HOLD` old;
-otherwise its torque is unknown, and live the configured torque is taken. Offline the next torque is known
-too: `torque_between` interpolates between reported torques at most that far apart.
+  otherwise its torque is unknown, and live the configured torque is taken. Offline the next torque is known
+  too: `torque_between` interpolates between reported torques at most that far apart.
 * **A velocity is integrated** from the output's angle on: see `kernel._integrate`.
 * **Turns are counted.** An angle within one turn that jumps by over half of one wraps, as does a counter of
   16 or 32 bits: it goes the short way.
 * **A nan** mostly means that nothing was measured: the value counts as not reported until a number comes. So
-does an output angle beside a torque that comes apart from the input. Other values that are no numbers, and
-those beyond `LARGEST_ANGLE` and `LARGEST_TORQUE`, refuse the sample.
+  does an output angle beside a torque that comes apart from the input. Other values that are no numbers, and
+  those beyond `LARGEST_ANGLE` and `LARGEST_TORQUE`, refuse the sample.
 
 What comes out depends on the sequence of rows alone, to the last bit, however many come at once.
 """
