@@ -309,7 +309,7 @@ a publisher that dies | node | STALE until another comes
     test_node.py::test_a_publisher_that_dies_and_comes_back
 a name, a topic or a stamp that a joint waits for in vain | node | STALE says what arrives in its place
     test_node_absences.py::test_stale_says_why_live_and_in_the_replay
-a robot's description with entities, or a text that is no description | topics --urdf | code 2; of the bag itself a warning
+a robot description with entities, or another file | topics --urdf | code 2; of the bag itself a warning
     test_robot_description.py::test_what_is_no_description_is_refused_in_one_line
 a second publisher of a joint | node | a warning until one goes
     test_node.py::test_a_second_publisher_of_a_joint_is_a_warning_until_it_goes
