@@ -82,6 +82,14 @@ def test_it_says_why_it_does_not_diagnose(tmp_path: Path) -> None:
         assert values["diagnosis_state"] == "failed: ~/diagnose: there is no log: call ~/start_log"
 
 
+def test_a_call_is_answered_where_the_log_never_began(tmp_path: Path) -> None:
+    with running(tmp_path, parameters(diagnostics_rate=20.0, log__path="/dev/null/log")) as rig:
+        ok, said = rig.call("diagnose")
+        assert not ok
+        assert said.startswith("~/diagnose: there is no log: failed: /dev/null/log")
+        assert said.endswith(": Not a directory")
+
+
 def test_it_diagnoses_a_fault_once_with_what_was_before_and_after(tmp_path: Path) -> None:
     """Only if asked to, which can be changed meanwhile; not before the snapshot has its end."""
     log = tmp_path / "log"

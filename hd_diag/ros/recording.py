@@ -144,6 +144,8 @@ class Recording:
             raise BagError("~/diagnose", f"one is under way: {self._run.facts['diagnosis_state']}")
         if config.mode == "snapshot":
             self._record(after)
+        elif self._log.is_recording and not self._log.bags:
+            raise BagError("~/diagnose", f"there is no log: {self._log.state}")
         elif not self._log.is_recording and not self._files():
             raise BagError("~/diagnose", "there is no log: call ~/start_log")
         return self._run.ask(self._log.bags[-1], time.monotonic() + after)
