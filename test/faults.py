@@ -386,7 +386,7 @@ a ratio of the wrong sign | diagnose | code 2; tells the ratio that the angles h
 input and output swapped | diagnose | code 2; asks whether they are
     test_record.py::test_swapped_angles_are_said_where_the_input_hardly_moves
 disk full under what is printed | any verb | code 2, one line
-    test_cli.py::test_a_full_disk_under_what_is_printed_is_one_line
+    test_cli.py::test_streams_that_are_closed_or_full
 disk full | watch --json | code 2, one line
     test_watch_live.py::test_a_full_disk_under_its_lines_is_one_line
 """
