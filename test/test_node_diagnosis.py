@@ -128,3 +128,22 @@ def test_it_diagnoses_a_fault_once_with_what_was_before_and_after(tmp_path: Path
     (bag,) = {file.parent for file in parameter_files(tmp_path)}
     held = len(content(bag)[f"{rig.process.namespace}/joint_states"])
     assert held == 180 or (not were_in_time and 150 <= held < 180)  # a busy machine may be late with the last
+
+
+def test_a_fault_that_begins_beside_a_diagnosis_has_the_next(tmp_path: Path) -> None:
+    own = {"path": str(tmp_path / "log"), "mode": "snapshot", "after": 0.1, "topics": "inputs"}
+    given = parameters(diagnostics_rate=20.0, **PATIENT, **{f"log__{name}": v for name, v in own.items()})
+    with running(tmp_path, given | {"diagnose.on_fault": True}) as rig:
+        publisher, stamps, pid = rig.publisher(), itertools.count(START, 10 * MS), rig.process.popen.pid
+        feed(publisher, stamps, 100, 1000.0)
+        rig.values("joint_1", lambda values: values["samples"] == "100")
+        assert rig.call("diagnose")[0]
+        (child,) = rig.until(lambda: children(pid, b"diagnose"), "process")
+        os.kill(child, signal.SIGSTOP)
+        assert rig.set(joint_1__eccentricity__magnitude=60e-6)[0].successful
+        rig.values("joint_1", lambda values: "INTERFERENCE" in values["fault_codes"])
+        assert children(pid, b"diagnose") == [child]
+        os.kill(child, signal.SIGKILL)
+        rig.until(lambda: {*children(pid, b"diagnose")} - {child}, "process of the fault's diagnosis")
+        assert len(parameter_files(tmp_path)) == 2
+        assert rig.process.end() == 0

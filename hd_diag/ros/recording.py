@@ -35,6 +35,7 @@ class Recording:
         self._faults: dict[str, set[str]] = {}
         self._angles: dict[str, float] = {}
         self._moved, self._seen = 0.0, time.monotonic()
+        self._fault_waits = False  # for a diagnosis, while another is running
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         verdicts = node.create_publisher(String, "~/verdict", latched)
         self._logger, self._shown = node.get_logger(), ""
@@ -62,7 +63,8 @@ class Recording:
         if begun and config.log.mode == "snapshot" and config.log.path:
             with suppress(BagError):  # the log's state tells why
                 self._record(config.log.after)
-        if (begun and config.diagnose_on_fault) or (every and self._moved >= every):
+        self._fault_waits |= begun and config.diagnose_on_fault
+        if self._fault_waits or (every and self._moved >= every):
             self._diagnose_by_itself(config.log.after if begun else 0.0)
 
     def _has_begun(self, statuses: Sequence[Status]) -> bool:
@@ -132,6 +134,7 @@ class Recording:
         """As `_diagnose_now`, unless a diagnosis is running; the state says why there is none."""
         if self._run.is_busy:
             return
+        self._fault_waits = False
         try:
             self._diagnose_now(after)
         except BagError as error:
