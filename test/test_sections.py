@@ -214,7 +214,7 @@ def test_derivatives_by_displacement_and_tilt(torque: float) -> None:
     found = np.column_stack(torsion_along(ASTRAY, turn, load, 2))
     exact = np.column_stack(torsion_and_gradient(ASTRAY, turn, load))
     near_a_gap = 0.0 < torque < 1.0
-    assert np.std(found[:, 0] - exact[:, 0]) < (0.2 if near_a_gap else 0.06) * ARCSEC
+    assert np.std(found[:, 0] - exact[:, 0]) < (0.25 if near_a_gap else 0.06) * ARCSEC
     assert np.all(np.std(found - exact, axis=0) < (0.2 if near_a_gap else 0.1) * np.abs(exact).max(axis=0))
 
 

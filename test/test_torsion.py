@@ -213,7 +213,7 @@ def test_along_samples_it_is_exact_at_nodes_and_straight_between(outward: float)
 
     expected = np.column_stack(torsion_and_gradient(mesh, step * node, torque))
     rounding = 1e-7 * np.abs(expected).max(axis=0)
-    assert teeth_along(mesh, steps) == 1
+    assert teeth_along(mesh, steps, 400) == (1, False)
     assert np.all(np.abs(along(node) - expected) <= rounding)
     middle = 0.5 * (along(node) + along(node + 1.0))
     assert np.all(np.abs(along(node + 0.5) - middle)[:, [0, 3, 4, 5]] <= rounding[[0, 3, 4, 5]])
@@ -226,14 +226,20 @@ def test_along_samples_it_is_exact_at_nodes_and_straight_between(outward: float)
         assert np.all(np.abs(found[:, 1:4] - gradient[:, :3]) < rounding[1:4])
 
 
-@pytest.mark.parametrize("size", [4.0, 16.0], ids=["some teeth", "more teeth"])
-def test_along_samples_a_displacement_is_carried_from_tooth_to_tooth(size: float) -> None:
+@pytest.mark.parametrize(
+    ("size", "samples"),
+    [(4.0, 60_000), (16.0, 60_000), (16.0, 3000)],
+    ids=["some teeth", "more teeth", "two of few teeth"],
+)
+def test_along_samples_a_displacement_is_carried_from_tooth_to_tooth(size: float, samples: int) -> None:
     """To 0.02 arcsec of 250; derivatives jump where pairs come into load, but on average they are right."""
     mesh = drives.mesh(drives.PAPER, (0.0, 0.25e-6 * size), (1e-6, 2e-6))
     random, steps = np.random.default_rng(9), 4
     step = 2 * np.pi / (steps * mesh.geometry.circular_spline_teeth)
-    turn, torque = step * random.integers(0, 808, 3000), random.uniform(-90.0, 90.0, 3000)
-    assert 1 < teeth_along(mesh, steps) < mesh.geometry.circular_spline_teeth
+    turn, torque = step * random.integers(0, 808, samples), random.uniform(-90.0, 90.0, samples)
+    teeth, blends = teeth_along(mesh, steps, samples)
+    assert 1 < teeth < mesh.geometry.circular_spline_teeth
+    assert blends == (samples == 3000)
     found, gradient = torsion_along(mesh, turn, torque, steps)
     exact, slopes = torsion_and_gradient(mesh, turn, torque)
     assert np.std(found - exact) < 0.02 * ARCSEC

@@ -165,12 +165,13 @@ class Evidence:
         """What each of some groups would bring beside a set: log odds, and the best width for it."""
         places, scale, _, solved, root = self._solved(widths)
         found = {}
+        whole = solve_triangular(root, scale[:, None] * self.gram[places], lower=True, check_finite=False)
+        left = self.moment - whole.T @ solved
         for name in names:
             group = self.groups[name]
             own = group.places
-            across = solve_triangular(root, scale[:, None] * self.gram[np.ix_(places, own)], lower=True)
+            across, rest = whole[:, own], left[own]
             inner = self.gram[np.ix_(own, own)] - across.T @ across
-            rest = self.moment[own] - across.T @ solved
             best = (-np.inf, group.widths[0])
             values, vectors = np.linalg.eigh(inner)
             along = vectors.T @ rest

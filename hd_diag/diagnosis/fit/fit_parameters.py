@@ -339,7 +339,7 @@ def along(
     steps = steps or max(_STEPS_PER_TOOTH - geometry.sections // 2, _LEAST_STEPS)
     angle = drive.frame.wave_generator_angle(input_angle)
     given = drive.mesh, angle, drive.frame.cup_torque(torque)
-    few = angle.size < _NODES_PAY * (steps + 1) * torsion.teeth_along(drive.mesh, steps)
+    few = angle.size < _NODES_PAY * (steps + 1) * torsion.teeth_along(drive.mesh, steps, angle.size)[0]
     beta, gradient = torsion.torsion_and_gradient(*given) if few else torsion.torsion_along(*given, steps)
     by_x, by_y, by_datum, by_compliance, by_torque, *by_tilt = gradient.T
     cosine, sine = np.cos(angle), np.sin(angle)

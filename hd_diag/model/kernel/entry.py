@@ -31,10 +31,12 @@ from hd_diag.model.kernel.mesh_data import Constants, MeshData, blank
 from hd_diag.model.kernel.sensitivity import (
     add,
     carried,
+    direction,
     fill,
     fill_pieces,
     parameters,
     pieces_room,
+    samples_of,
     to_housing,
 )
 
@@ -115,38 +117,58 @@ def torsion_along(
     eccentricity: Complexes,
     fixed: complex,
     beyond: float,
-    cell: Integers,
+    steps: int,
+    blends: bool,
+    begin: Integers,
     share: Floats,
+    across: Floats,
     turned: Complexes,
     torque: Floats,
 ) -> Floats:
-    """As of `torsion_and_gradient`, torsion last (n, 5 or 7), at places between angles, in rising cells.
+    """As of `torsion_and_gradient`, torsion last (n, 5 or 7), at places between angles.
 
-    Each place is a whole number of teeth away, in the direction `turned`. There what of the displacement is
-    `fixed` in the housing, and the tilt, lie elsewhere in the wave generator's frame: by the gradient.
+    Angles are all steps of one solved tooth after the other, samples those of one cell after the other: from
+    `begin` on, with so much of a step as `share`. Each is a whole number of teeth away, in the direction
+    `turned`: there what of the displacement is `fixed` in the housing, and the tilt, lie elsewhere in the
+    wave generator's frame. It follows by the gradient of its solved tooth, or where this `blends`, from that
+    and the next, so much of the way `across`.
     """
     work, room, count = scratch(mesh), pieces_room(mesh), parameters(mesh)
-    result, here = np.zeros((cell.size, count + 2)), np.empty(count + 2)
-    before = now = 0
-    for node in range(turn.size):
-        after = now
-        while after < cell.size and cell[after] == node:
-            after += 1
-        if after > before:
-            found = flanks(mesh, turn[node], eccentricity[node], work)
-            low, high = torque[before:after].min() - beyond, torque[before:after].max() + beyond
-            size = fill_pieces(work, mesh.compliance, found, low, high, room)
-            there = complex(math.cos(turn[node]), -math.sin(turn[node]))
-            for i in range(before, after):
+    result, here = np.zeros((torque.size, count + 2)), np.empty(count + 2)
+    nodes, sides = turn.size, 2 if blends else 1
+    for node in range(nodes):
+        tooth, step = node // (steps + 1), node % (steps + 1)
+        low, high = math.inf, -math.inf
+        for corner in range(2 * sides):
+            first, last = samples_of(begin, tooth, step, steps, corner)
+            for i in range(first, last):
+                low, high = min(low, torque[i]), max(high, torque[i])
+        if low > high:
+            continue
+        found = flanks(mesh, turn[node], eccentricity[node], work)
+        size = fill_pieces(work, mesh.compliance, found, low - beyond, high + beyond, room)
+        there = direction(turn[node])
+        after = direction(turn[(node + steps + 1) % nodes]) - there
+        before = there - direction(turn[node - steps - 1])
+        for corner in range(2 * sides):
+            first, last = samples_of(begin, tooth, step, steps, corner)
+            for i in range(first, last):
+                weight = share[i] if corner % 2 else 1.0 - share[i]
+                away = turned[i].conjugate() - there
+                # Half the gradients' difference along the way is what it bends: exact for a parabola.
+                if corner < 2:
+                    weight *= 1.0 - across[i]
+                    away -= 0.5 * across[i] * after
+                else:
+                    weight *= across[i]
+                    away += 0.5 * (1.0 - across[i]) * before
                 here[:] = 0.0 if size else math.nan
                 if size:
-                    add(room, size, torque[i], share[i] if i < now else 1.0 - share[i], here)
-                away = turned[i].conjugate() - there
+                    add(room, size, torque[i], weight, here)
                 here[-1] += carried(here, count, away * fixed, away * mesh.tilt)
                 to_housing(here, count, turned[i])
                 for k in range(here.size):
                     result[i, k] += here[k]
-        before, now = now, after
     return result
 
 
@@ -198,4 +220,5 @@ def warm_up(gradient: bool) -> None:
         torsion_of_flanks(flat, flat, row)
         touches(mesh.constants, row, row)
         torsion_and_gradient(mesh, row, center, row)
-        torsion_along(mesh, row, center, 0j, 0.0, row.astype(np.int64), row, center, row)
+        none = np.zeros(1, dtype=np.int64)
+        torsion_along(mesh, row, center, 0j, 0.0, 1, False, none, row, row, center, row)

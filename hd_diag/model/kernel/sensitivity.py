@@ -86,6 +86,23 @@ def carried(gradient: Floats, count: int, displacement: complex, tilt: complex) 
     return change
 
 
+@inline
+def samples_of(begin: Integers, tooth: int, step: int, steps: int, corner: int) -> tuple[int, int]:
+    """First and last but one of a cell that a node is the corner of: 0, 1 after it, 2, 3 before it."""
+    own = step - corner % 2
+    if own < 0 or own == steps:
+        return 0, 0
+    cells = begin.size - 1
+    cell = (tooth * steps + own - (corner // 2) * steps) % cells
+    return begin[cell], begin[cell + 1]
+
+
+@inline
+def direction(turn: float) -> complex:
+    """Of the housing, in the wave generator's frame."""
+    return complex(math.cos(turn), -math.sin(turn))
+
+
 # At one torque ---
 
 
