@@ -78,7 +78,3 @@ MORE = 1.15
 
 ANOTHER = 3.0
 """Standard deviations from its configured value from which a parameter is another: a convention."""
-
-PLAIN = 40.0
-"""The same for a displacement where more than noise is left at the gear's lines: chosen, several times as
-many as such a rest has moved one by in development records."""

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.diagnosis.calibration import HINTED, LEAST_SIZE, MISFIT, WORSE
+from hd_diag.diagnosis.calibration import HINTED, LEAST_SIZE, MISFIT, MORE, WORSE
 from hd_diag.diagnosis.detectability import NOT_PROVED, Detectability, testability
-from hd_diag.diagnosis.evidence.kept_parameters import DISPLACEMENTS, Kept, kept_parameters
+from hd_diag.diagnosis.evidence.kept_parameters import DISPLACEMENTS, HELD, Kept, kept_parameters
 from hd_diag.diagnosis.evidence.naming import standings
 from hd_diag.diagnosis.evidence.order_table import OrderRow
 from hd_diag.diagnosis.evidence.search import search
@@ -38,6 +38,7 @@ from hd_diag.effects.effect import Stage
 from hd_diag.extended_model import ExtendedModel
 from hd_diag.formatting import words
 
+_SIZED_ROWS = 2000  # by which the size of what parameters do is taken
 _SEARCHED_ROWS = 6_000  # that a search gets: more cost time, and show what is larger than noise no better
 _TESTED = 0.9  # of the time that a diagnosis may take, by which what could have been shown is tested
 _KEPT = 0.7  # the same, for which parameters are as configured
@@ -246,6 +247,7 @@ def diagnose(
     whole = measured.at(settle(replace(every, whiten=fit.whiten), chosen, 2, learn=False))
     wider = _wider(rms, configured)
     parameters, spread = kept.spread(whole, found.rivals, found.datum_reach)
+    spread = np.outer(wider, wider) * spread + np.diag(_imitated(rms, record, configured, parameters) ** 2)
     trustworthy = not found.ambiguous and not fit_parameters.at_bound(parameters, configured)
     drive = fit_parameters.drive_of(parameters, configured)
     work.tell(0.9, "looking at what no cause explains")
@@ -255,7 +257,7 @@ def diagnose(
         record,
         configured,
         findings,
-        Refit(drive, parameters, np.outer(wider, wider) * spread, trustworthy),
+        Refit(drive, parameters, spread, trustworthy),
         whole,
         rms,
         gain,
@@ -294,6 +296,35 @@ def _wider(rms: Rms, configured: Drive) -> Floats:
     found = np.full(fit_parameters.count(configured), left)
     found[numbers_of(DISPLACEMENTS)] = min(left, max(rms.gear, 1.0))
     return found
+
+
+def _imitated(rms: Rms, record: Record, configured: Drive, parameters: Floats) -> Floats:
+    """Deviations of displacements (p,) by what is left at the gear's lines: as much may be in what they do."""
+    left = rms.noise * math.sqrt(max(rms.gear**2 - MORE**2, 0.0))
+    sizes = parameter_sizes(record, configured, parameters)
+    away = parameters - fit_parameters.vector(configured, configured)
+    found = np.zeros(parameters.size)
+    for name in sizes.keys() & HELD:
+        numbers = numbers_of([name])
+        found[numbers] = np.linalg.norm(away[numbers]) * left / max(sizes[name], 1e-300)
+    return found
+
+
+def parameter_sizes(record: Record, configured: Drive, parameters: Floats) -> dict[str, float]:
+    """How much the error changes where a group of parameters (p,) is as configured [rad rms], by its name."""
+    some = record.select(usable(record)).thinned(_SIZED_ROWS)
+    as_configured = fit_parameters.vector(configured, configured)
+
+    def error(parameters: Floats) -> Floats:
+        drive = fit_parameters.drive_of(parameters, configured)
+        return fit_parameters.along(drive, configured, some.input_angle, some.torque)[0]
+
+    whole, sizes = error(parameters), {}
+    for name, numbers in fit_parameters.groups(configured).items():
+        without = parameters.copy()
+        without[list(numbers)] = as_configured[list(numbers)]
+        sizes[name] = float(np.nanstd(whole - error(without)))
+    return sizes
 
 
 def _described(record: Record, lines: list[Unexplained], rms: Rms, wanders: bool) -> tuple[Unexplained, ...]:

@@ -10,19 +10,15 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from hd_diag.diagnosis.accuracy import WHOLE_TURN, Accuracy, accuracy
-from hd_diag.diagnosis.calibration import ANOTHER, CERTAIN_SIZE, MISFIT, PLAIN, TWO_SIDED
-from hd_diag.diagnosis.diagnosis import Diagnosis
-from hd_diag.diagnosis.evidence.kept_parameters import HELD
+from hd_diag.diagnosis.calibration import ANOTHER, CERTAIN_SIZE, MISFIT, TWO_SIDED
+from hd_diag.diagnosis.diagnosis import Diagnosis, parameter_sizes
 from hd_diag.diagnosis.evidence.solution import Cause
-from hd_diag.diagnosis.fit import fit_parameters
-from hd_diag.diagnosis.fit.refit import usable
 from hd_diag.formatting import ARCSEC, words
 
 Judgement = Literal["as_configured", "parameters", "causes", "described", "misfit", "not_judged"]
 
 _LEAST_SHARE = 0.05  # of the noise, below which what a parameter changes is of no use
 _BY_TORQUE = ("tooth_compliance", "cup_compliance")
-_MOST_ROWS = 2000
 
 Beside = Literal["within", "near", "beyond", "open"]
 """A value beside its limit: under it, over it, too near to it to tell which, or unknown."""
@@ -36,19 +32,25 @@ _USUAL = {
 }
 """Largest values that a new joint may have; of waves those of the first."""
 
+_FRICTION = ("coulomb_windup", "viscous_windup")
+"""Bearing and seals of a new joint drag with some two per cent of the rated torque: the effect's usual size."""
+
 
 def is_usual(cause: Cause) -> bool:
     """Whether a new joint may have it as large: all but what is beyond a usual size for certain."""
     limit = _USUAL.get(cause.effect.name)
+    if cause.effect.name in _FRICTION:
+        limit = float(cause.effect.usual[0])
     if limit is None:
         return False
-    own = cause.coefficients[:2]
-    norm = 1 if cause.effect.name == "hysteresis" else 2  # both parts of a loop, or cosine and sine
+    own = cause.coefficients[: min(2, cause.effect.size)]
+    is_loop = cause.effect.name == "hysteresis"
+    norm = 1 if is_loop else 2  # both parts of a loop, or cosine and sine
     value = float(np.linalg.norm(own, norm))
     way = np.sign(own) if norm == 1 else own / max(value, 1e-300)
     spread = math.sqrt(max(float(way @ cause.covariance[: own.size, : own.size] @ way), 0.0))
     # A loop may be wider beyond the torques of the record than in it.
-    shown = min(1.0, cause.reach / max(value, 1e-300)) if norm == 1 else 1.0
+    shown = min(1.0, cause.reach / max(value, 1e-300)) if is_loop else 1.0
     return shown * (value - CERTAIN_SIZE * spread) <= limit
 
 
@@ -118,7 +120,7 @@ class Answer:
 
     @property
     def vague(self) -> bool:
-        """Whether a displacement that is not plain may be a part of what is left at the gear's lines."""
+        """Whether a displacement may be a part of what is left at the gear's lines."""
         rms = self.diagnosis.rms
         return bool(rms and rms.misfit.suspected and rms.hides_lines)
 
@@ -126,21 +128,20 @@ class Answer:
     def changes(self) -> list[Change]:
         """Parameters that are not as configured, the one that changes the error most first.
 
-        No compliance where the torque is a motor's current: only its product with the constant shows. No
-        displacement that is not plain where all is vague.
+        No compliance where the torque is a motor's current: only its product with the constant shows.
         """
         found = self.diagnosis
         if found.refitted is None or not found.refitted.trustworthy:
             return []
         least = _LEAST_SHARE * found.rms.noise if found.rms else 0.0
         changed = []
-        for name, explains in _parameter_sizes(found).items():
+        sizes = parameter_sizes(found.record, found.configured, found.refitted.parameters)
+        for name, explains in sizes.items():
             if found.record.by_current and name in _BY_TORQUE:
                 continue
             entry = found.parameters[name if name in found.parameters else f"{name}.magnitude"]
             off = abs(entry["value"] - entry["configured"])
-            sigmas = PLAIN if self.vague and name in HELD else ANOTHER
-            if off > sigmas * entry["std"] and explains > least:
+            if off > ANOTHER * entry["std"] and explains > least:
                 number = (entry["value"], entry["std"], entry["configured"], entry["unit"])
                 changed.append(Change(name, *number, explains))
         return sorted(changed, key=lambda change: -change.explains)
@@ -202,25 +203,6 @@ class Answer:
             "described": len(found.order_table),
             "unexplained": len(found.unexplained),
         }
-
-
-def _parameter_sizes(diagnosis: Diagnosis) -> dict[str, float]:
-    """How much the refitted drive's error changes where a group of parameters is as configured [rad rms]."""
-    configured, refitted = diagnosis.configured, diagnosis.refitted
-    assert refitted is not None
-    record = diagnosis.record.select(usable(diagnosis.record)).thinned(_MOST_ROWS)
-    as_configured = fit_parameters.vector(configured, configured)
-
-    def error(parameters: np.ndarray) -> np.ndarray:
-        drive = fit_parameters.drive_of(parameters, configured)
-        return fit_parameters.along(drive, configured, record.input_angle, record.torque)[0]
-
-    whole, sizes = error(refitted.parameters), {}
-    for name, numbers in fit_parameters.groups(configured).items():
-        without = refitted.parameters.copy()
-        without[list(numbers)] = as_configured[list(numbers)]
-        sizes[name] = float(np.nanstd(whole - error(without)))
-    return sizes
 
 
 def _noise(diagnosis: Diagnosis) -> tuple[float, float]:

@@ -7,6 +7,7 @@ Kennedy and O'Hagan, J. R. Statist. Soc. B 63, 2001.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -19,7 +20,11 @@ from hd_diag.effects.signals import Signals
 
 _SEGMENTS = 8  # of the torque, of either sign
 _TURNS = (1, 2, 3)  # waves of the output's turn
-_HATS = 4  # of the torque's magnitude, by which a line changes
+_HATS = 5  # of the torque's magnitude, denser near zero, by which a line changes
+_FLANKS = (0.1, 1.0)  # of the greatest torque, within which a line goes over from one flank's to the other's
+# Share of a line's variance that is not the same at every torque. Waves of teeth, of even orders, halve or so;
+# one per turn comes from what displaces the wave generator, unless an encoder makes it.
+_CHANGES = {1: 1.0, 2: 0.25, 4: 0.25}
 _KNOTS = 10  # of a drift
 _SLOWEST = 5.0  # between knots of a drift, at least [s]: no wave of the gear is as slow
 _SIGNS = (0.02, 0.1)  # of the top speed, within which friction changes its sign
@@ -104,10 +109,20 @@ def _time(signals: Signals, low: float, high: float) -> Floats:
 
 
 def _line(order: int) -> Shape:
+    """Waves with the same part at every torque, and what changes with its magnitude and its sign.
+
+    What changes is in proportion: a gear's own wave falls with the load, a coupling's or encoder's does not.
+    """
+    apart, changes = np.abs(np.subtract.outer(np.arange(_HATS), np.arange(_HATS))), _CHANGES[order]
+    smooth = np.linalg.cholesky(1.0 - changes + changes * (1.0 - changes) ** apart)
+
     def shape(signals: Signals, low: float, high: float) -> Floats:
-        load = np.minimum(np.abs(signals.torque) / max(-low, high, 1e-9), 1.0) * (_HATS - 1)
-        hats = np.maximum(1.0 - np.abs(load[:, None] - np.arange(_HATS)), 0.0)
-        waves = [f(order * signals.wave_generator_angle)[:, None] * hats for f in (np.cos, np.sin)]
+        load = np.clip(signals.torque / max(-low, high, 1e-9), -1.0, 1.0)
+        node = np.sqrt(np.abs(load)) * (_HATS - 1)
+        hats = np.maximum(1.0 - np.abs(node[:, None] - np.arange(_HATS)), 0.0)
+        by_flank = math.sqrt(changes) * np.tanh(load[:, None] / _FLANKS)
+        law = np.concatenate((hats @ smooth, by_flank), axis=1)
+        waves = [f(order * signals.wave_generator_angle)[:, None] * law for f in (np.cos, np.sin)]
         return np.concatenate(waves, axis=1)
 
     return shape
@@ -156,11 +171,11 @@ TIME = Remainder(
 ORDERS = tuple(
     Remainder(
         name=f"line_{order}",
-        cause=f"A wave of {order} per input turn, which changes with the torque's magnitude.",
+        cause=f"A wave of {order} per input turn, which changes with the torque.",
         frame="input",
         needs=("wave_generator_angle", "torque"),
         source="couplings, encoders and lobes that are off as is usual",
-        quantities=_quantities(2 * _HATS, "rad", "N m"),
+        quantities=_quantities(2 * (_HATS + len(_FLANKS)), "rad", "N m"),
         shape=_line(order),
     )
     for order in LINES

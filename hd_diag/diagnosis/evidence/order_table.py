@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from hd_diag.arrays import Floats, Integers
-from hd_diag.diagnosis.evidence.waves import Remainder, Wave, Weight
+from hd_diag.diagnosis.evidence.waves import Remainder, Wave, Weight, turns
 from hd_diag.diagnosis.fit.design import projection
 from hd_diag.diagnosis.noise import Whitening, bounds, whitening
 from hd_diag.effects.bearing_passage import CAGE
@@ -125,12 +125,12 @@ def table_at(
     white, target = whiten(pairs, rest.run), whiten(rest.residual, rest.run)
     spread = np.asarray(np.linalg.pinv(white.T @ white), np.float64)
     beta = spread @ (white.T @ target)
-    steady = _steady(white, target, beta, _segments(rest.run))
+    steady, covered = _steady(white, target, beta, _segments(rest.run)), turns(rest.input_angle)
     found = []
     for index, ((order, frame, nonlinear), repeats) in enumerate(zip(rows, steady, strict=True)):
         at = slice(2 * index, 2 * index + 2)
         might_be = _might_be(order, frame, bool(nonlinear[1]), rest.ratio)
-        usual = frame == "input" and order in LINES and order in rest.lines
+        usual = any(line in LINES and abs(nonlinear[0] - line) * covered < 1.0 for line in rest.lines)
         found.append(OrderRow(order, frame, nonlinear, beta[at], spread[at, at], repeats, might_be, usual))
     return tuple(sorted(found, key=lambda row: -row.amplitude))
 

@@ -39,7 +39,7 @@ _DATUM_STEPS = (2.0, 4.0, 8.0, 16.0)  # to either side, in units of the paramete
 _PLAINLY = 25.0  # log odds on some rows, from which a cause holds on all
 _TO_MINIMUM = 5  # rounds of settling
 _FIRST, _TURN = 0.15, 0.6  # of the time, that is gone before; of what is left of the search, after each turn
-RESTARTS = 2  # causes, up to which each lets the parameters be searched for again
+RESTARTS = 2  # times that the parameters are searched for again, beside the causes by then
 
 
 SEARCHED = 0.6
@@ -194,16 +194,23 @@ def search(
     better, reach = _along_datum_in_time(scanned, rows)
     if better is not scanned:
         minima.insert(0, better)
-    instead, left = Instead(), Left()
+    instead, left, restarts = Instead(), Left(), 0
     with work.until(SEARCHED, FURTHER_CAUSES):
         for turn in range(_TURNS):
             _tell(work, 0.0, turn, f"looking for cause {len(minima[0].causes) + 1}")
             found, instead = _better(minima[0].clear().relearned(), {}, left)
-            if found is None:
+            if found is not None:
+                minima[0] = found.polished(_TO_MINIMUM)
+                continue
+            best = minima[0]
+            if not best.causes or restarts == RESTARTS:
                 break
-            least = _on_rows(minima[0], rows) - _HOPELESS
+            restarts += 1
+            least = _on_rows(best, rows) - _HOPELESS
             others = [one for one in minima if _on_rows(one, rows) > least]
-            minima = _sorted(_at_minima(found.polished(_TO_MINIMUM), others, rng), rows)
+            minima = _sorted(_at_minima(best, others, rng), rows)
+            if minima[0] is best:
+                break
     if minima[0] is not scanned:
         minima[0], reach = _along_datum_in_time(minima[0], rows)
     best, known = minima[0].moved_to(every).settled(_TO_MINIMUM).relearned(), _plain(instead)
@@ -409,7 +416,7 @@ def _at_minima(found: Set, others: list[Set], rng: np.random.Generator) -> list[
     own = found.fit.data.configured
     points = [found.fit.parameters]
     sets = [found]
-    if len(found.causes) <= RESTARTS and _may_be_elsewhere(found):
+    if _may_be_elsewhere(found):
         others = [*others, found.at(restarted(found, rng))]
     for other in others:
         if len(distinct([*points, other.fit.parameters], own)) > len(points):
