@@ -9,8 +9,9 @@ import pytest
 from test_verdict import AT_BOUND, ENDED, LINE, SKIP, WRONG_RATIO, cause, diagnosis, found, function, refitted
 
 from hd_diag.diagnosis.action import advice
-from hd_diag.diagnosis.diagnosis import Allowed, Diagnosis
+from hd_diag.diagnosis.diagnosis import Allowed, Diagnosis, imitated, parameter_sizes
 from hd_diag.diagnosis.evidence.solution import Cause
+from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.gain import Rms
 from hd_diag.diagnosis.judgement import Answer, Limited
 from hd_diag.diagnosis.statements import sentence
@@ -141,13 +142,19 @@ def test_a_hint_is_likelier_than_not() -> None:
         assert (made.causes, len(made.hints)) == ((), hints)
 
 
-def test_a_displacement_where_more_than_noise_may_be_left_has_to_be_plain() -> None:
-    """What is left may be the displacement, and the other way round."""
-    hint = cause("hysteresis", none=-3.0)
-    for causes, size, stated in (((hint,), 5.0, False), ((), 5.0, False), ((hint,), 18.2, True)):
-        answer = Answer(diagnosis(*causes, rms=NEAR, refitted=refitted(eccentricity=size + 0.0j)))
-        assert ("eccentricity" in [change.name for change in answer.changes]) is stated
-        assert ("how far off it may be cannot be determined" in sentence(answer)) is not stated
+@pytest.mark.parametrize(("gear", "share"), [(1.1, 0.0), (2.0, 0.1), (2.0, 0.5)])
+def test_what_is_left_at_the_lines_may_be_in_a_displacement(gear: float, share: float) -> None:
+    """Its deviation grows by as much of it as what is left is of what it does."""
+    made = diagnosis()
+    parameters = fit_parameters.vector(made.configured, made.configured)
+    parameters[0] += 8.0
+    size = parameter_sizes(made.record, made.configured, parameters)["eccentricity"]
+    left = share * size / np.sqrt(2.0**2 - 1.15**2)
+    rms = dataclasses.replace(NEAR, noise=left, gear=gear)
+    found = imitated(rms, made.record, made.configured, parameters)
+    assert size > 0.0
+    assert found[:2] == pytest.approx(8.0 * share, rel=1e-9)
+    assert not found[4:].any()
 
 
 def test_a_cause_that_foretells_no_more_than_the_configured_drive_is_a_hint() -> None:
@@ -240,6 +247,15 @@ def test_a_loop_that_catalogues_allow_is_usual(size: float) -> None:
     assert told["action"] == ("nothing" if usual else "inspect")
     assert told["advice"].endswith("Usual for a new gear: hysteresis.") is usual
     assert ("arcsec rms, usual for a gear" in told["verdict"]) is usual
+
+
+@pytest.mark.parametrize(("share", "usual"), [(0.9, True), (1.2, False)])
+def test_the_friction_of_new_bearings_and_seals_is_usual(share: float, usual: bool) -> None:
+    made = cause("coulomb_windup")
+    own = np.array([share * float(made.effect.usual[0])])
+    spread = np.zeros((1 + len(made.nonlinear),) * 2)
+    sized = dataclasses.replace(made, coefficients=own, covariance=spread)
+    assert as_json(diagnosis(sized), "joint_1")["causes"][0]["usual"] is usual
 
 
 @pytest.mark.parametrize("reach", [24.0, 36.0])

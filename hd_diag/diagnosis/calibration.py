@@ -74,7 +74,8 @@ WORSE = 1.02
 chosen, beyond the thousandth or so by which models that are alike differ."""
 
 MORE = 1.15
-"""The same for the lower end of its interval, where its upper end is beyond that."""
+"""The same for the lower end of its interval, where its upper end is beyond that. At the gear's lines: from
+here on what is left may be a part of a displacement."""
 
 ANOTHER = 3.0
 """Standard deviations from its configured value from which a parameter is another: a convention."""

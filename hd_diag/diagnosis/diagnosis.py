@@ -247,7 +247,7 @@ def diagnose(
     whole = measured.at(settle(replace(every, whiten=fit.whiten), chosen, 2, learn=False))
     wider = _wider(rms, configured)
     parameters, spread = kept.spread(whole, found.rivals, found.datum_reach)
-    spread = np.outer(wider, wider) * spread + np.diag(_imitated(rms, record, configured, parameters) ** 2)
+    spread = np.outer(wider, wider) * spread + np.diag(imitated(rms, record, configured, parameters) ** 2)
     trustworthy = not found.ambiguous and not fit_parameters.at_bound(parameters, configured)
     drive = fit_parameters.drive_of(parameters, configured)
     work.tell(0.9, "looking at what no cause explains")
@@ -298,8 +298,8 @@ def _wider(rms: Rms, configured: Drive) -> Floats:
     return found
 
 
-def _imitated(rms: Rms, record: Record, configured: Drive, parameters: Floats) -> Floats:
-    """Deviations of displacements (p,) by what is left at the gear's lines: as much may be in what they do."""
+def imitated(rms: Rms, record: Record, configured: Drive, parameters: Floats) -> Floats:
+    """Deviations of displacements (p,): as much as is left at the gear's lines may be in what they do."""
     left = rms.noise * math.sqrt(max(rms.gear**2 - MORE**2, 0.0))
     sizes = parameter_sizes(record, configured, parameters)
     away = parameters - fit_parameters.vector(configured, configured)

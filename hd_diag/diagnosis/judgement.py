@@ -33,7 +33,7 @@ _USUAL = {
 """Largest values that a new joint may have; of waves those of the first."""
 
 _FRICTION = ("coulomb_windup", "viscous_windup")
-"""Bearing and seals of a new joint drag with some two per cent of the rated torque: the effect's usual size."""
+"""Bearing and seals of a new joint drag with two per cent of the rated torque: the effect's usual size."""
 
 
 def is_usual(cause: Cause) -> bool:

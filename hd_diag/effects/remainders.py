@@ -22,8 +22,8 @@ _SEGMENTS = 8  # of the torque, of either sign
 _TURNS = (1, 2, 3)  # waves of the output's turn
 _HATS = 5  # of the torque's magnitude, denser near zero, by which a line changes
 _FLANKS = (0.1, 1.0)  # of the greatest torque, within which a line goes over from one flank's to the other's
-# Share of a line's variance that is not the same at every torque. Waves of teeth, of even orders, halve or so;
-# one per turn comes from what displaces the wave generator, unless an encoder makes it.
+# Share of a line's variance that is not the same at every torque. Waves of teeth, of even orders, halve or
+# so; one per turn comes from what displaces the wave generator, unless an encoder makes it.
 _CHANGES = {1: 1.0, 2: 0.25, 4: 0.25}
 _KNOTS = 10  # of a drift
 _SLOWEST = 5.0  # between knots of a drift, at least [s]: no wave of the gear is as slow
