@@ -193,12 +193,13 @@ ALIKE = found(cause("output_runout", alike=("output_encoder_eccentricity",)))
     [
         ({}, "nothing", "green", f"Nothing to do: the transmission error is within its limit {SURE}."),
         ({"refitted": AS_CONFIGURED}, "nothing", "green", "Nothing to do: .*"),
+        ({"found": found(functions=(function(TORQUE, 10.0 * ARCSEC),))}, "nothing", "green", "Nothing .*"),
         ({"findings": (SKIP,)}, "inspect", "red", "Inspect: a step of 6480 arcsec .*: 1 tooth skipped."),
         ({"findings": (dataclasses.replace(SKIP, name="unit"),)}, "watch", "amber", "Watch: a step of .*"),
         ({"rms": MISFIT}, "watch", "not_judged", "Cannot be judged: the model does not describe this .*"),
         ({"found": HINT}, "watch", "amber", r"Watch: output runout, not proven \(95 % likely\)."),
         (
-            {"found": found(functions=(function(TORQUE),))},
+            {"found": found(functions=(function(TORQUE, 12.0 * ARCSEC),))},
             *("watch", "amber"),
             "Watch: the torsion's shape .* is larger than usual.",
         ),

@@ -104,8 +104,8 @@ def test_what_is_held_makes_the_others_no_more_certain(displaced: Set) -> None:
 
 
 def test_displacements_that_show_by_their_product_are_free() -> None:
-    """0.4 um of eccentricity, which is not certain by itself, beside 6 um of runout."""
-    both = AS_CONFIGURED + np.array([0.3, 0.25, 4.0, 4.5, 0.0, 0.0, 0.0])
+    """0.6 um of eccentricity, which is not certain by itself, beside 9 um of runout."""
+    both = AS_CONFIGURED + np.array([0.45, 0.4, 6.0, 6.75, 0.0, 0.0, 0.0])
     record = swinging(20.0, 0, fit_parameters.drive_of(both, CONFIGURED))
     assert not DISPLACEMENTS & kept_parameters(settled(record, both))[1].bounds.keys()
     for one in (both * [1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 1.0], both * [0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0]):

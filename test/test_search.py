@@ -481,4 +481,6 @@ def test_a_minimum_is_chosen_by_what_all_rows_will_tell() -> None:
     assert centred.value > centred.at(point).settled(8).value
     best = search([few, few.moved(point)], every, np.random.default_rng(0)).best
     assert not best.names
-    assert_allclose(best.fit.parameters[:4], point[:4], atol=0.6)
+    deviation = np.sqrt(np.diag(best.fit.fit(best.chosen)[1]))[:4]
+    assert np.all(np.abs(best.fit.parameters[:4] - point[:4]) < 2.5 * deviation)
+    assert np.all(deviation < 0.8)

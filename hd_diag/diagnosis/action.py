@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 
 from scipy.stats import norm
 
-from hd_diag.diagnosis.calibration import NAMED
+from hd_diag.diagnosis.calibration import NAMED, NOTICED
 from hd_diag.diagnosis.judgement import Answer, Limited, is_usual
 from hd_diag.diagnosis.statements import ended, function_in_words, names_of
 from hd_diag.formatting import percent, si, size, words
@@ -83,9 +83,11 @@ def _reasons(answer: Answer) -> Iterator[Reason]:
             yield Reason("inspect", names_of(cause), cause.standing.probability)
     for hint in found.hints:
         likely = hint.standing.probability
-        yield Reason("watch", f"{names_of(hint)}, not proven", likely if likely < NAMED else math.nan)
+        if not is_usual(hint):
+            yield Reason("watch", f"{names_of(hint)}, not proven", likely if likely < NAMED else math.nan)
     for one in found.larger:
-        yield Reason("watch", f"{function_in_words(one)} is larger than usual")
+        if 2.0 * one.largest > NOTICED * found.configured.accuracy:
+            yield Reason("watch", f"{function_in_words(one)} is larger than usual")
 
 
 def _of_limit(limited: Limited) -> Reason:

@@ -79,3 +79,7 @@ here on what is left may be a part of a displacement."""
 
 ANOTHER = 3.0
 """Standard deviations from its configured value from which a parameter is another: a convention."""
+
+NOTICED = 0.25
+"""Share of the accuracy, peak to peak, from which a remainder that is larger than usual asks to be watched: a
+convention."""

@@ -7,7 +7,6 @@ Kennedy and O'Hagan, J. R. Statist. Soc. B 63, 2001.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -21,7 +20,6 @@ from hd_diag.effects.signals import Signals
 _SEGMENTS = 8  # of the torque, of either sign
 _TURNS = (1, 2, 3)  # waves of the output's turn
 _HATS = 5  # of the torque's magnitude, denser near zero, by which a line changes
-_FLANKS = (0.1, 1.0)  # of the greatest torque, within which a line goes over from one flank's to the other's
 # Share of a line's variance that is not the same at every torque. Waves of teeth, of even orders, halve or
 # so; one per turn comes from what displaces the wave generator, unless an encoder makes it.
 _CHANGES = {1: 1.0, 2: 0.25, 4: 0.25}
@@ -109,7 +107,7 @@ def _time(signals: Signals, low: float, high: float) -> Floats:
 
 
 def _line(order: int) -> Shape:
-    """Waves with the same part at every torque, and what changes with its magnitude and its sign.
+    """Waves with the same part at every torque, and what changes with its magnitude.
 
     What changes is in proportion: a gear's own wave falls with the load, a coupling's or encoder's does not.
     """
@@ -117,11 +115,9 @@ def _line(order: int) -> Shape:
     smooth = np.linalg.cholesky(1.0 - changes + changes * (1.0 - changes) ** apart)
 
     def shape(signals: Signals, low: float, high: float) -> Floats:
-        load = np.clip(signals.torque / max(-low, high, 1e-9), -1.0, 1.0)
-        node = np.sqrt(np.abs(load)) * (_HATS - 1)
-        hats = np.maximum(1.0 - np.abs(node[:, None] - np.arange(_HATS)), 0.0)
-        by_flank = math.sqrt(changes) * np.tanh(load[:, None] / _FLANKS)
-        law = np.concatenate((hats @ smooth, by_flank), axis=1)
+        load = np.minimum(np.abs(signals.torque) / max(-low, high, 1e-9), 1.0)
+        node = np.sqrt(load) * (_HATS - 1)
+        law = np.maximum(1.0 - np.abs(node[:, None] - np.arange(_HATS)), 0.0) @ smooth
         waves = [f(order * signals.wave_generator_angle)[:, None] * law for f in (np.cos, np.sin)]
         return np.concatenate(waves, axis=1)
 
@@ -171,11 +167,11 @@ TIME = Remainder(
 ORDERS = tuple(
     Remainder(
         name=f"line_{order}",
-        cause=f"A wave of {order} per input turn, which changes with the torque.",
+        cause=f"A wave of {order} per input turn, which changes with the torque's magnitude.",
         frame="input",
         needs=("wave_generator_angle", "torque"),
         source="couplings, encoders and lobes that are off as is usual",
-        quantities=_quantities(2 * (_HATS + len(_FLANKS)), "rad", "N m"),
+        quantities=_quantities(2 * _HATS, "rad", "N m"),
         shape=_line(order),
     )
     for order in LINES
