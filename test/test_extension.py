@@ -92,7 +92,7 @@ def test_the_model_as_it_runs_is_as_good_as_told(folder: Path, joint: JointConfi
     verdict = json.loads((folder / "verdict.json").read_text())
     assert np.std(fit(joint, folder)[1]) == pytest.approx(NOISE, rel=0.05)
     assert verdict["extended"]["rms_live"] == pytest.approx(NOISE, rel=0.1)
-    assert verdict["extended"]["rms"] < 0.2 * verdict["refit"]["rms"]
+    assert verdict["extended"]["rms"] < 0.21 * verdict["refit"]["rms"]
 
 
 def test_a_replay_with_the_model_has_the_residual_of_the_fit(folder: Path, joint: JointConfig) -> None:

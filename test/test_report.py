@@ -301,7 +301,7 @@ def test_a_joint_that_is_eccentric_and_no_more(undrawn: None) -> None:
     assert card.title == "Eccentricity of the wave generator in the housing"
     motion = found.record.input_angle, found.record.torque
     added = transmission_error(TRUE, *motion) - transmission_error(CONFIGURED, *motion)
-    assert card.size == pytest.approx(np.std(added), rel=0.02)
+    assert card.size == pytest.approx(np.std(added), rel=0.04)  # a line of order 2 may have a part of it
     assert list(judgement.orders) == ["as configured", "refitted"]
     # A meter is yellow between its marks: from nothing to its end where the limit is too near to tell.
     near = tuple(gauge._replace(state="near") for gauge in judgement.gauges)
