@@ -40,9 +40,8 @@ LANGUAGES = {".py": "python", ".yaml": "yaml", ".xml": "xml"}
 FIGURES, GALLERY = DOCS / "figures", DOCS / "gallery"
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
 ROUNDING = 0.06  # by which coordinates may differ between processors [pt]
-FITTED = (
-    6.0  # and in pictures of what a search for causes gives: they show the same, whatever its last digits
-)
+# The same in pictures of what a search for causes gives: they show the same, whatever its last digits.
+FITTED = 6.0
 
 
 def part(name: str, captions: str) -> str:

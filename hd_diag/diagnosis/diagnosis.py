@@ -300,10 +300,11 @@ def _wider(rms: Rms, configured: Drive) -> Floats:
 
 def imitated(rms: Rms, record: Record, configured: Drive, parameters: Floats) -> Floats:
     """Deviations of displacements (p,): as much as is left at the gear's lines may be in what they do."""
-    left = rms.noise * math.sqrt(max(rms.gear**2 - MORE**2, 0.0))
+    found, left = np.zeros(parameters.size), rms.noise * math.sqrt(max(rms.gear**2 - MORE**2, 0.0))
+    if left == 0.0:
+        return found
     sizes = parameter_sizes(record, configured, parameters)
     away = parameters - fit_parameters.vector(configured, configured)
-    found = np.zeros(parameters.size)
     for name in sizes.keys() & HELD:
         numbers = numbers_of([name])
         found[numbers] = np.linalg.norm(away[numbers]) * left / max(sizes[name], 1e-300)

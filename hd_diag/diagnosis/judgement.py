@@ -33,24 +33,23 @@ _USUAL = {
 """Largest values that a new joint may have; of waves those of the first."""
 
 _FRICTION = ("coulomb_windup", "viscous_windup")
-"""Bearing and seals of a new joint drag with two per cent of the rated torque: the effect's usual size."""
+"""Causes that are usual up to the effect's usual size: chosen, two per cent of the rated torque, 1 N m of a
+joint of 56 N m, as bearing and seals of a new one drag."""
 
 
 def is_usual(cause: Cause) -> bool:
     """Whether a new joint may have it as large: all but what is beyond a usual size for certain."""
-    limit = _USUAL.get(cause.effect.name)
-    if cause.effect.name in _FRICTION:
-        limit = float(cause.effect.usual[0])
+    name = cause.effect.name
+    limit = float(cause.effect.usual[0]) if name in _FRICTION else _USUAL.get(name)
     if limit is None:
         return False
-    own = cause.coefficients[: min(2, cause.effect.size)]
-    is_loop = cause.effect.name == "hysteresis"
-    norm = 1 if is_loop else 2  # both parts of a loop, or cosine and sine
+    own = cause.coefficients[:2]
+    norm = 1 if name == "hysteresis" else 2  # both parts of a loop, or cosine and sine
     value = float(np.linalg.norm(own, norm))
     way = np.sign(own) if norm == 1 else own / max(value, 1e-300)
     spread = math.sqrt(max(float(way @ cause.covariance[: own.size, : own.size] @ way), 0.0))
     # A loop may be wider beyond the torques of the record than in it.
-    shown = min(1.0, cause.reach / max(value, 1e-300)) if is_loop else 1.0
+    shown = min(1.0, cause.reach / max(value, 1e-300)) if norm == 1 else 1.0
     return shown * (value - CERTAIN_SIZE * spread) <= limit
 
 

@@ -88,7 +88,11 @@ def carried(gradient: Floats, count: int, displacement: complex, tilt: complex) 
 
 @inline
 def samples_of(begin: Integers, tooth: int, step: int, steps: int, corner: int) -> tuple[int, int]:
-    """First and last but one of a cell that a node is the corner of: 0, 1 after it, 2, 3 before it."""
+    """First sample of a cell, and the one after its last, for a corner that a node is of it.
+
+    Corners 0 and 1: the node is of the tooth before the samples; 2 and 3: of the next. Even: at the step
+    before them; odd: at the step after. Nothing where there is no such cell.
+    """
     own = step - corner % 2
     if own < 0 or own == steps:
         return 0, 0
