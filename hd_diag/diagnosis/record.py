@@ -13,7 +13,7 @@ from hd_diag.diagnosis.blocks import unwrapped
 from hd_diag.diagnosis.noise import ORDER, bounds, numbered, spans
 from hd_diag.diagnosis.outliers import outliers, torque_outliers
 from hd_diag.diagnosis.smoothing import deviation, rate, smooth
-from hd_diag.diagnosis.stamps import UNTOLD, Stamps, by_clock, usual_step
+from hd_diag.diagnosis.stamps import UNTOLD, Stamps, by_clock, usual_step, without_jitter
 from hd_diag.diagnosis.torque_smoothing import SmoothedTorque, smoothed_torque
 from hd_diag.formatting import words
 from hd_diag.streams.no_torque import no_torque
@@ -239,7 +239,7 @@ def prepare(
     if not encoder_bits(turned / max(abs(ratio) * followed, 1e-300)):  # a finding tells these better
         check_speed(columns["time"], columns["input_angle"], columns["segment"])
     time, load, heat, segment = (columns.pop(n) for n in ("time", "torque", "temperature", "segment"))
-    step = usual_step(time)
+    step, time = usual_step(time), without_jitter(time, columns["input_angle"], segment)
     speed = rate(columns["input_angle"], segment, step, _SPEED_WINDOW)
     run, bag = _runs(time, speed, segment), columns["bag"]
     raw = np.full(time.shape, assumed_torque) if load is None else load

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hd_diag.arrays import Floats, Integers
+from hd_diag.diagnosis.smoothing import smooth
 from hd_diag.streams.rules import CLOCK_JUMP, PAIRING_GAP
 
 UNPAIRED = (
@@ -25,12 +26,43 @@ LONGEST_TURN = 3600.0
 
 _PARTS = (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))  # of a second
 _MOVED = 0.1  # [rad]; over less a speed is noise
+_CLOCK_WINDOW = 0.5  # in which a clock runs evenly [s]
+_LEAST_JITTER = 1e-3  # of the usual step
+_BETWEEN = 0.5  # of what jitter would move the angle; angles that move by less were taken evenly
 
 
 def usual_step(time: Floats) -> float:
     """Between stamps that rise [s]: the median; nan where none does."""
     step = np.diff(time)
     return float(np.median(step[step > 0.0])) if (step > 0.0).any() else math.nan
+
+
+def without_jitter(time: Floats, angle: Floats, segment: Integers) -> Floats:
+    """Times at which samples were taken [s], (n,): the stamps, less jitter that is theirs alone.
+
+    A control loop reads its encoders evenly, and what stamps the messages is late by more or less: then the
+    angle does not move with the stamp's jitter. At full speed a tenth of a millisecond is 20 arcsec.
+
+    Parameters
+    ----------
+    time, angle : ndarray, shape (n,)
+        Stamps [s], and an angle that moves [rad].
+    segment : ndarray of int64, shape (n,)
+        Number of the stretch without a gap, ascending.
+    """
+    step = usual_step(time)
+    inside = np.diff(segment) == 0
+    steps = np.maximum(np.rint(np.diff(time) / step), 1.0)
+    evenly = step * np.concatenate(([0.0], np.cumsum(np.where(inside, steps, 0.0))))
+    own = time - evenly
+    even = evenly + smooth(own - own[0], segment, step, _CLOCK_WINDOW) + own[0]
+    late = time - even
+    if np.std(late) <= _LEAST_JITTER * step or np.any(np.abs(late) > 0.5 * step):
+        return time
+    speed = np.gradient(angle) / step
+    near = np.convolve(inside & (steps == 1.0), np.ones(5), "valid") == 5.0
+    moved, jitter = (np.diff(values, 3)[1:-1][near] for values in (angle, speed * late))
+    return even if moved @ jitter < _BETWEEN * (jitter @ jitter) else time
 
 
 class Stamps(NamedTuple):
