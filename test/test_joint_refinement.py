@@ -185,7 +185,7 @@ def test_a_step_that_leaves_a_range_ends_on_it_and_the_others_follow() -> None:
     root = rng.standard_normal((5, 5))
     spread = root @ root.T / 25.0
     step = np.array([0.05, -0.3, 0.2, 4.0, 0.1])
-    low, high = np.array([[q.low, q.high] for effect, _ in chosen for q in effect.nonlinear]).T
+    low, high = np.array([[*q.fitted] for effect, _ in chosen for q in effect.nonlinear]).T
     at = np.concatenate([values for _, values in chosen])
 
     def worse(there: np.ndarray) -> float:

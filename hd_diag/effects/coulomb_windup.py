@@ -56,12 +56,20 @@ EFFECT = CoulombWindup(
     excitation=(both_directions, partial(enough_input_turns, turns=1.0)),
     remembers=True,
     broadband=True,
-    grid=((0.003, 0.1, 0.0, 10.0), (0.003, 1.0, 0.5, 3.0), (0.3, 0.0, 0.0, 3.0), (0.05, 0.0, 0.5, 10.0)),
+    grid=((0.003, 0.1, 0.0, 10.0), (0.003, 0.3, 0.5, 3.0), (0.3, 0.0, 0.0, 3.0), (0.05, 0.0, 0.5, 10.0)),
     quantities=(
         Quantity("friction", "N m", 0.0, 1e3, 1.0, "a, while the joint moves", strict=True),
         Quantity("way", "rad", 1e-4, 30.0, 0.1, "x_0, of the input, over which it builds up", False),
         Quantity(
-            "creep_speed", "rad/s", 0.0, 3.0, 0.1, "omega_0, of the input; 0: kept at rest", False, shape=True
+            "creep_speed",
+            "rad/s",
+            0.0,
+            3.0,
+            0.1,
+            "omega_0, of the input; 0: kept at rest",
+            linear=False,
+            shape=True,
+            most=0.3,
         ),
         Quantity(
             "stribeck",
@@ -72,6 +80,7 @@ EFFECT = CoulombWindup(
             "b, share of it that is more at low speed",
             linear=False,
             shape=True,
+            most=1.0,
         ),
         Quantity(
             "stribeck_speed", "rad/s", 0.5, 20.0, 5.0, "omega_s, of the input", linear=False, shape=True

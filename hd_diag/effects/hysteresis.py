@@ -81,10 +81,17 @@ EFFECT = Hysteresis(
             "bending_amplitude", "rad", -5e-3, 5e-3, 15.0 * ARCSEC, "a_1, half width of the bend's loop"
         ),
         Quantity("slipping_amplitude", "rad", -5e-3, 5e-3, 15.0 * ARCSEC, "a_2, of the elements'"),
-        Quantity("bending_reach", "N m", 1e-2, 1e4, 5.0, "r_1, torque that bends it", linear=False),
+        Quantity("bending_reach", "N m", 1e-2, 1e4, 5.0, "r_1, torque that bends it", False, least=0.3),
         Quantity("sharpness", "-", 0.5, 5.0, 1.5, "n, of its giving way", linear=False, shape=True),
         Quantity(
-            "slipping_reach", "N m", 1e-2, 1e4, 5.0, "r_2, half the torque over which they stick", False
+            "slipping_reach",
+            "N m",
+            1e-2,
+            1e4,
+            5.0,
+            "r_2, half the torque over which they stick",
+            linear=False,
+            least=0.3,
         ),
         Quantity(
             "spread", "-", 1.0, 8.0, 2.0, "s, of the elements' torques about it", linear=False, shape=True

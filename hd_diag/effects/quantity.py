@@ -40,6 +40,8 @@ class Quantity:
         Whether a candidate with a value outside the limits is rejected: another cause is meant.
     shape : bool
         Whether it only bends a curve: people get the curve, not the number.
+    least, most : float
+        How far a fit goes within the limits: beyond, the effect looks like another one.
     """
 
     name: str
@@ -54,6 +56,13 @@ class Quantity:
     power: int = 1
     strict: bool = False
     shape: bool = False
+    least: float = -math.inf
+    most: float = math.inf
+
+    @property
+    def fitted(self) -> tuple[float, float]:
+        """Least and greatest value that a fit gives it."""
+        return max(self.low, self.least), min(self.high, self.most)
 
     def allows(self, value: float) -> bool:
         """Whether the value is inside the limits."""

@@ -10,6 +10,8 @@ import numpy as np
 
 from hd_diag.arrays import Complexes, Floats
 
+_BENT = 1e-7  # off the end, from where nothing bends any further
+
 
 def warm_up() -> None:
     """Compile all of them now, or read them from the disk."""
@@ -66,6 +68,8 @@ def _bend(state: float, change: Floats, sharpness: float) -> Floats:
             parts = 200
         way = change[index] / parts
         for _ in range(parts):
+            if state * way > 0.0 and 1.0 - abs(state) < _BENT:
+                break
             middle = state
             for share in (0.5, 1.0):
                 slope = 1.0 - abs(middle) ** sharpness if middle * way > 0.0 else 1.0

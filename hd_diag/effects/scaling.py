@@ -39,4 +39,5 @@ def of_drive(effects: Sequence[Effect], drive: Drive) -> tuple[Effect, ...]:
 
 
 def _scaled(one: Quantity, scale: float) -> Quantity:
-    return replace(one, low=scale * one.low, high=scale * one.high, prior_scale=scale * one.prior_scale)
+    names = ("low", "high", "prior_scale", "least", "most")
+    return replace(one, **{name: scale * getattr(one, name) for name in names})

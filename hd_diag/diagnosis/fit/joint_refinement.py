@@ -210,7 +210,7 @@ def _stepped(fit: LinearisedFit, chosen: Chosen, before: float) -> tuple[Lineari
 def _within(chosen: Chosen, step: Floats, spread: Floats) -> Floats:
     """The best step of the free values (k,) of covariance (k, k) by which none leaves its range."""
     room = [
-        (q.low - at, q.high - at)
+        (q.fitted[0] - at, q.fitted[1] - at)
         for effect, values in chosen
         for q, at in ((effect.nonlinear[index], values[index]) for index in free(effect))
     ]
@@ -235,5 +235,5 @@ def _moved_all(fit: LinearisedFit, chosen: Chosen, step: Floats) -> Chosen:
 
 def _moved(effect: Effect, nonlinear: tuple[float, ...], index: int, step: float) -> tuple[float, ...]:
     quantity = effect.nonlinear[index]
-    value = float(np.clip(nonlinear[index] + step, quantity.low, quantity.high))
+    value = float(np.clip(nonlinear[index] + step, *quantity.fitted))
     return (*nonlinear[:index], value, *nonlinear[index + 1 :])
