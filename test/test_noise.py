@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
-from hd_diag.diagnosis.noise import ORDER, bounds, whitening
+from hd_diag.diagnosis.noise import ORDER, Whitening, bounds, whitening
 
 AR = (1.3, -0.4)  # poles at 0.87 and 0.46
 INNOVATION = 3.0e-6  # [rad]
@@ -79,3 +79,25 @@ def test_columns_are_filtered_like_one_and_no_residual_at_all_is_finite() -> Non
     assert_allclose(filtered(block, run), np.stack([filtered(c, run) for c in block.T], axis=1), rtol=1e-12)
 
     assert np.isfinite(whitening(np.zeros(500), run)(np.ones(500), run)).all()
+
+
+def covariance(run: np.ndarray, slow: float, kept: float) -> np.ndarray:
+    """Of white noise of variance one and slow noise beside it, within runs."""
+    apart = np.abs(np.subtract.outer(np.arange(run.size), np.arange(run.size)))
+    return np.eye(run.size) + np.where(np.equal.outer(run, run), slow**2 * kept**apart, 0.0)
+
+
+@pytest.mark.parametrize(("slow", "kept"), [(0.3, 0.9), (5.0, 0.998)])
+def test_slow_noise_is_whitened_exactly(slow: float, kept: float) -> None:
+    """What is whitened has the products, and the determinant, that the dense covariance gives."""
+    run = runs(40, 3, 57)
+    whiten = Whitening(np.zeros(ORDER), 1.0, slow, kept)
+    columns = np.random.default_rng(0).standard_normal((run.size, 3))
+    dense = covariance(run, slow, kept)
+    white = whiten(columns, run)
+    assert_allclose(white.T @ white, columns.T @ np.linalg.solve(dense, columns), rtol=1e-9)
+    assert whiten.logarithm(run) == pytest.approx(0.5 * np.linalg.slogdet(dense)[1], rel=1e-9)
+
+
+def test_without_slow_noise_its_determinant_is_one() -> None:
+    assert Whitening(np.zeros(ORDER), 1.0).logarithm(runs(10)) == 0.0

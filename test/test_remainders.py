@@ -15,7 +15,7 @@ from hd_diag.config.model_file import document, model_for, write
 from hd_diag.drive import Drive
 from hd_diag.effects.contact_weights import contact_weights
 from hd_diag.effects.effect import Values
-from hd_diag.effects.remainders import LINES, ORDERS, PLACE, REMAINDERS, SPEED, TIME, TORQUE, Remainder
+from hd_diag.effects.remainders import LINES, LOOP, ORDERS, PLACE, REMAINDERS, SPEED, TIME, TORQUE, Remainder
 from hd_diag.effects.signals import Signals
 from hd_diag.extended_model import ExtendedModel, Term
 from hd_diag.formatting import ARCSEC
@@ -24,16 +24,18 @@ from hd_diag.model.transmission_error import Kinematics
 CHUNK_TOLERANCE = 1e-12  # [rad]
 FILE_TOLERANCE = 1e-9  # [rad]
 SIZE = 3.0
-SATURATED = 1e-6  # what friction still grows by beyond three quarters of the top speed
+SATURATED = 1e-12
 DRIVE = Drive(drives.mesh(), Kinematics(100.0), 56.0)
 RANGE = {
     TORQUE: (-40.0, 50.0),
+    LOOP: (-40.0, 50.0),
     SPEED: (-60.0, 80.0),
     PLACE: (-40.0, 50.0),
     TIME: (0.0, 60.0),
 } | dict.fromkeys(ORDERS, (-40.0, 50.0))
-COUNT = {TORQUE: 16, SPEED: 6, PLACE: 12, TIME: 10} | dict.fromkeys(ORDERS, 10)
-ALONG = {TORQUE: "torque", SPEED: "speed", PLACE: "torque", TIME: "time"} | dict.fromkeys(ORDERS, "torque")
+COUNT = {TORQUE: 16, LOOP: 4, SPEED: 16, PLACE: 12, TIME: 10} | dict.fromkeys(ORDERS, 10)
+ALONG = {TORQUE: "torque", LOOP: "torque", SPEED: "speed", PLACE: "torque", TIME: "time"}
+ALONG |= dict.fromkeys(ORDERS, "torque")
 LASTING = tuple(one for one in REMAINDERS if one.lasting)
 
 
@@ -99,7 +101,8 @@ def test_units_are_those_of_what_it_goes_by(effect: Remainder) -> None:
     assert size.unit == ("rad/(N m)" if effect is TORQUE else "rad")
     assert {one.unit for one in effect.linear} == {"-"}
     if effect is not TIME:
-        scaled = dataclasses.replace(INSIDE, torque=7.0 * INSIDE.torque, speed=7.0 * INSIDE.speed)
+        given = {} if effect is SPEED else {"torque": 7.0 * INSIDE.torque}  # its load is of the rated torque
+        scaled = dataclasses.replace(INSIDE, speed=7.0 * INSIDE.speed, **given)
         found = effect.columns(scaled, (SIZE, *(7.0 * end for end in RANGE[effect])))
         assert_allclose(found, columns(effect) * (7.0 if effect is TORQUE else 1.0), rtol=1e-9, atol=1e-12)
 
@@ -151,11 +154,33 @@ def test_a_torque_of_one_sign_has_no_segments_of_the_other() -> None:
 
 
 def test_friction_changes_its_sign_with_the_direction() -> None:
-    speed = np.array([-60.0, -8.0, 0.0, 8.0, 60.0])
-    found = columns(SPEED, signals(5, speed=speed), 1.0)
-    assert_allclose(found[:, :2], np.tanh(speed[:, None] / (80.0 * np.array([0.02, 0.1]))), rtol=1e-12)
-    assert_allclose(found[:, :4], -found[::-1, :4], atol=1e-15)  # odd, and the others even
-    assert_allclose(found[:, 4:], found[::-1, 4:], atol=1e-15)
+    """Odd laws, even ones, and odd ones that grow with the load; at rest there is none."""
+    speed, torque = np.array([-60.0, -8.0, 0.0, 8.0, 60.0]), np.array([14.0, 7.0, 5.0, 7.0, 14.0])
+    found = columns(SPEED, signals(5, speed=speed, torque=torque), 1.0)
+    assert_allclose(found[:, :5], -found[::-1, :5], atol=1e-15)
+    assert_allclose(found[:, 5:10], found[::-1, 5:10], atol=1e-15)
+    assert_allclose(found[:, 5:10], np.sign(speed)[:, None] * found[:, :5], atol=1e-15)
+    load = torque[:, None] / DRIVE.rated_torque
+    for number, law in enumerate((load, load, np.sqrt(load))):
+        places = slice(10 + 2 * number, 12 + 2 * number)
+        assert_allclose(found[:, places], law * found[:, :2], atol=1e-15)
+    assert not found[2].any()
+
+
+def test_laws_of_friction_are_constant_in_proportion_or_their_own() -> None:
+    """The same variance at every speed, as that of any other, and that of what is in proportion to it."""
+    at = np.array([0.01, 0.03, 0.1, 0.3, 1.0])
+    found = columns(SPEED, signals(5, speed=80.0 * at), 1.0)[:, :5]
+    assert_allclose(found @ found.T, 0.9 + np.outer(at, at) + 0.1 * np.eye(5), atol=1e-12)
+
+
+def test_a_loop_slips_where_the_torque_turns_round() -> None:
+    """Each element sticks over its share of the range, and is relaxed to begin with."""
+    torque = np.concatenate([np.linspace(0.0, 45.0, 451), np.linspace(45.0, -40.0, 851)])
+    found = columns(LOOP, signals(torque.size, torque=torque), 1.0)
+    for z, reach in zip(found.T, 90.0 * np.array([0.02, 0.06, 0.2, 0.6]), strict=True):
+        assert_allclose(z[:451], np.minimum(torque[:451] / reach, 1.0), atol=1e-9)
+        assert_allclose(z[451:], np.maximum(z[450] - (45.0 - torque[451:]) / reach, -1.0), atol=1e-9)
 
 
 def test_a_place_has_three_waves_of_the_output_evenly_and_with_the_torque() -> None:

@@ -78,10 +78,12 @@ def test_noise_and_a_wave_smaller_than_is_of_use_are_not_reported() -> None:
 
 
 def test_an_unmodelled_term_is_described_by_its_words() -> None:
-    term = next(one for one in UNMODELLED_TERMS if one.name == "sided_torque")
+    term = next(one for one in UNMODELLED_TERMS if one.name == "creep")
 
     def part(signals: Signals) -> np.ndarray:
-        return term.columns(signals, ()) @ np.array([20.0 * ARCSEC, 0.0])
+        return term.columns(signals, ()) @ np.array(
+            [20.0 * ARCSEC, *np.zeros(term.columns(signals, ()).shape[1] - 1)]
+        )
 
     made = bench(part)
     line = unexplained(Solution(made, given=((term, ()),)))[0]

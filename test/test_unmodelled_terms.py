@@ -13,7 +13,7 @@ from hd_diag.effects.contact_weights import ContactWeights
 from hd_diag.effects.remainders import LINES
 from hd_diag.effects.signals import Signals
 
-NAMES = ("sided_torque", "creep", "rests", "place", *(line.name for line in OUTPUT_LINES), "input_line")
+NAMES = ("creep", "rests", "place", *(line.name for line in OUTPUT_LINES), "input_line")
 BY_NAME = {term.name: term for term in UNMODELLED_TERMS}
 PLACE, INPUT_LINE = BY_NAME["place"], BY_NAME["input_line"]
 RATE = 50.0  # [Hz]
@@ -48,7 +48,7 @@ def columns(name: str, signals: Signals) -> np.ndarray:
 @pytest.mark.parametrize("term", UNMODELLED_TERMS, ids=NAMES)
 def test_columns_are_finite_and_of_order_one(term: UnmodelledTerm) -> None:
     speed = both_ways(24.0) * (np.arange(24 * 50) % 300 > 40)
-    speeds = {"sided_torque": both_ways(24.0), "rests": speed}
+    speeds = {"rests": speed}
     speeds |= dict.fromkeys(("place", *(line.name for line in OUTPUT_LINES)), np.full(1200, 400.0))
     signals = made(speeds.get(term.name, np.abs(speed) * 3.0), wave(24.0))
     assert term.testable(signals)[0]
@@ -60,14 +60,6 @@ def test_columns_are_finite_and_of_order_one(term: UnmodelledTerm) -> None:
     nothing = signals.part(slice(0, 0))
     assert term.columns(nothing, start).shape[0] == 0
     assert not term.testable(nothing)[0]
-
-
-def test_sided_torque_changes_sign_with_the_direction() -> None:
-    torque, speed = wave(), both_ways()
-    found = columns("sided_torque", made(speed, torque))
-    full = torque / np.abs(torque).max()
-    expected = np.sign(speed)[:, None] * np.stack((full, np.abs(full)), axis=1)
-    assert_allclose(found, expected)
 
 
 def test_creep_grows_with_the_way_in_either_direction() -> None:
@@ -123,16 +115,12 @@ def test_a_gap_is_a_rest_that_nobody_saw() -> None:
     assert_array_equal(columns("rests", signals), (signals.run[:, None] == [1, 2]).astype(float))
 
 
-ONE_WAY, STRETCHES = np.full(FEW, 30.0), np.arange(FEW) // 40
+STRETCHES = np.arange(FEW) // 40
 
 
 @pytest.mark.parametrize(
     ("name", "speed", "torque", "run", "expected"),
     [
-        # One direction or one torque has no sides.
-        ("sided_torque", ONE_WAY, wave(), None, True),
-        ("sided_torque", both_ways(), 20.0, None, True),
-        ("sided_torque", -ONE_WAY, 20.0, None, True),
         # Very many stretches show no creep, two runs or very many no rests.
         ("creep", both_ways(), 20.0, STRETCHES, True),
         ("creep", both_ways(), 20.0, STRETCHES // 2, False),

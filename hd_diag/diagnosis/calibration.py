@@ -40,8 +40,20 @@ USUAL_LINE, USUAL_SLOW = LEAST_SIZE, 0.3 * ARCSEC
 """What is usual of a line and of the slow remainders [rad]: a new gear of one arcminute has waves of one to
 two arcsec, and so have bearings, mounts and zeros."""
 
+USUAL_LOOP = 60.0 * ARCSEC
+"""Lost motion between both ways that is usual [rad]: the arcminute that catalogues allow."""
+
 LARGER_BY = (1.0, 3.0, 10.0, 30.0, 100.0)
 """Sizes of a remainder over its usual one, half a decade apart: between two, the evidence changes little."""
+
+SLOW = (0.0, 0.3, 1.0, 3.0, 10.0)
+"""Sizes of the slow noise over the innovation: what no model describes."""
+
+SLOW_NOISE = -10.0
+"""Prior log odds of any. Calibrated: in records of white noise alone it seems to bring up to 7."""
+
+SLOW_FOR = (0.1, 0.3, 1.0)
+"""How long it lasts [s]: longer, it is a drift."""
 
 SIZES = (0.1, 0.3, 1.0, 3.0, 10.0)
 """The same of a cause's prior width over its usual size."""

@@ -28,7 +28,7 @@ from hd_diag.diagnosis.fit.motor_torque import less_motor
 from hd_diag.diagnosis.fit.refit import Refit, refit, usable
 from hd_diag.diagnosis.gain import Gain, Misfit, Rms, Rows, held_out, measured_gain, renumbered
 from hd_diag.diagnosis.noise import ORDER
-from hd_diag.diagnosis.record import Record
+from hd_diag.diagnosis.record import MINIMUM_SAMPLES, Record
 from hd_diag.diagnosis.screening import Screened, screened, without_misleading_torque
 from hd_diag.diagnosis.subsampling import some_rows
 from hd_diag.diagnosis.work import Work
@@ -281,7 +281,8 @@ def _starts(begun: LinearisedFit, test: Rows) -> list[LinearisedFit]:
     # Single rows are for causes that remember.
     rows = ~test[some] & (np.bincount(record.run) > ORDER)[record.run]
     fit = linearise(record, data.configured, begun.parameters, rows, data.catalogue, begun.work, data.known)
-    fit = fit.beside(begun.present)
+    # Of a record in pieces hardly any stretch may be left.
+    fit = (fit if fit.data.at.size >= MINIMUM_SAMPLES else begun).beside(begun.present)
     as_configured = fit_parameters.vector(data.configured, data.configured)
     return [fit] if record.by_current else [fit, fit.moved(as_configured)]
 

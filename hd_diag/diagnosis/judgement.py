@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from hd_diag.diagnosis.accuracy import WHOLE_TURN, Accuracy, accuracy
-from hd_diag.diagnosis.calibration import ANOTHER, CERTAIN_SIZE, MISFIT, TWO_SIDED
+from hd_diag.diagnosis.calibration import ANOTHER, CERTAIN_SIZE, MISFIT, TWO_SIDED, USUAL_LOOP
 from hd_diag.diagnosis.diagnosis import Diagnosis, parameter_sizes
 from hd_diag.diagnosis.evidence.solution import Cause
 from hd_diag.formatting import ARCSEC, words
@@ -25,7 +25,7 @@ Beside = Literal["within", "near", "beyond", "open"]
 
 
 _USUAL = {
-    "hysteresis": 30.0 * ARCSEC,  # half of the arcminute between both ways that catalogues allow
+    "hysteresis": 0.5 * USUAL_LOOP,  # to either side
     "input_encoder_eccentricity": 600.0 * ARCSEC,  # at the input: a resolver's data sheet allows 10 arcmin
     "output_encoder_eccentricity": 10.0 * ARCSEC,  # a disc of 100 mm that is mounted to 2.5 um
     "output_runout": 10.0 * ARCSEC,  # the same of a flange: no record tells them apart

@@ -32,6 +32,31 @@ def filtered(columns: Floats, taps: Floats, edges: Integers) -> Floats:
     return result
 
 
+@entry_point
+def innovations(columns: Floats, edges: Integers, slow: float, kept: float) -> tuple[Floats, float]:
+    """What white noise of variance one and slow noise beside it leave to be foretold, in its deviations.
+
+    Columns (n, k), from edge to edge; slow noise of deviation `slow`, of which a row keeps the share `kept`
+    of the one before (Kalman, J. Basic Engineering 82, 1960). With it half the logarithm of the variances.
+    """
+    result, logarithm = np.empty(columns.shape), 0.0
+    state = np.zeros(columns.shape[1])
+    for part in range(edges.size - 1):
+        state[:] = 0.0
+        open_ = slow**2
+        for row in range(edges[part], edges[part + 1]):
+            variance = open_ + 1.0
+            root, gain = np.sqrt(variance), open_ / variance
+            for i in range(state.size):
+                away = columns[row, i] - state[i]
+                result[row, i] = away / root
+                state[i] = kept * (state[i] + gain * away)
+            open_ = kept**2 * gain + (1.0 - kept**2) * slow**2
+            logarithm += np.log(root)
+    return result, logarithm
+
+
 def warm_up() -> None:
     """Compile now, or read from the disk."""
+    innovations(np.zeros((1, 1)), np.array([0, 1]), 1.0, 0.5)
     filtered(np.zeros((1, 1)), np.ones(3), np.array([0, 1]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -28,10 +29,15 @@ class Whitening:
         a_k.
     scale : float
         Standard deviation of w [rad].
+    slow, kept : float
+        Of what no model describes, beside the noise: its deviation once it is whitened, and the share of it
+        that is left after a row.
     """
 
     coefficients: Floats
     scale: float
+    slow: float = 0.0
+    kept: float = 0.0
 
     def __call__(self, columns: Floats, run: Integers) -> Floats:
         """Whitened columns, (n,) or (n, k), in units of the innovation.
@@ -50,7 +56,21 @@ class Whitening:
         begun = edges[:-1, None] + np.arange(ORDER)
         inside = begun < edges[1:, None]
         white[begun[inside]] = (self._beginning @ wide[np.where(inside, begun, 0)])[inside]
+        if self.slow:
+            white = kernel.innovations(white, edges, self.slow, self.kept)[0]
         return np.asarray(white.reshape(columns.shape))
+
+    @property
+    def key(self) -> tuple[Hashable, ...]:
+        """What tells it from others."""
+        return self.coefficients.tobytes(), self.scale, self.slow, self.kept
+
+    def logarithm(self, run: Integers) -> float:
+        """Half the logarithm of the determinant of the slow noise beside that of the innovation."""
+        from hd_diag.diagnosis import kernel  # late: it imports numba
+
+        none = np.empty((run.size, 0))
+        return kernel.innovations(none, _edges(run), self.slow, self.kept)[1] if self.slow else 0.0
 
     @cached_property
     def _beginning(self) -> Floats:
@@ -89,6 +109,8 @@ def spans(rows: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 def slices(time: Floats, run: Integers, seconds: float) -> Integers:
     """Number of the stretch of each row, from zero; runs are divided into stretches of so many seconds."""
+    if not run.size:
+        return np.empty(0, dtype=np.int64)
     edges = bounds(run)
     begun = np.repeat([time[begin] for begin, _ in edges], [end - begin for begin, end in edges])
     change = (np.diff((time - begun) // seconds) != 0) | (np.diff(run) != 0)

@@ -183,6 +183,7 @@ def names_of(cause: Cause) -> str:
 
 _OF = {
     "torque": ("the torsion's shape", 1.0, "N m"),
+    "history": ("a part that depends on where the torque came from", 1.0, "N m"),
     "speed": ("a part that follows the speed", 1.0, "rad/s"),
     "place": ("a part that follows the output's place", 180.0 / math.pi, "°"),
     "time": ("a slow drift", 1.0, "s"),

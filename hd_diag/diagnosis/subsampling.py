@@ -17,11 +17,11 @@ from hd_diag.diagnosis.blocks import blocks
 from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.record import Record
 
-LIMIT = 60_000
+LIMIT = 20_000
 """Rows that a fit gets, at most: the whole process then needs less than 1 GiB."""
 
 _STRETCHES = 48  # two for each block of the fit
-_SHORTEST = 500  # rows of a stretch: shorter ones cover more of the motion, longer ones more noise
+_SHORTEST = 125  # rows of a stretch: shorter ones cover more of the motion, longer ones more noise
 _PLACES = 24  # at which a stretch may begin within its cell
 _LEVELS = 16  # of the torque, of the speed, of the output's turn
 _PAIRED = 6  # of torque and speed together

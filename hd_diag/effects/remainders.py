@@ -13,11 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.effects.effect import Effect, Kind, Stage, Values
+from hd_diag.effects.effect import Effect, Kind, Stage, Stepped, Values
 from hd_diag.effects.quantity import Quantity
+from hd_diag.effects.recursions import slip
 from hd_diag.effects.signals import Signals
 
 _SEGMENTS = 8  # of the torque, of either sign
+_REACHES = (0.02, 0.06, 0.2, 0.6)  # of the torque's range, over which an element sticks
 _TURNS = (1, 2, 3)  # waves of the output's turn
 _HATS = 5  # of the torque's magnitude, denser near zero, by which a line changes
 # Share of a line's variance that is not the same at every torque. Waves of teeth, of even orders, halve or
@@ -25,9 +27,17 @@ _HATS = 5  # of the torque's magnitude, denser near zero, by which a line change
 _CHANGES = {1: 1.0, 2: 0.25, 4: 0.25}
 _KNOTS = 10  # of a drift
 _SLOWEST = 5.0  # between knots of a drift, at least [s]: no wave of the gear is as slow
-_SIGNS = (0.02, 0.1)  # of the top speed, within which friction changes its sign
+_SPEEDS = np.array([0.01, 0.03, 0.1, 0.3, 1.0])  # of the top speed: below, friction changes its sign
+_OWN = 0.1  # share of the variance that each speed has for itself
+_LOADED = 2  # laws that grow with the load as well: the constant one, and that in proportion
+_SPEED_LAWS = np.linalg.cholesky(
+    1.0 - _OWN + np.multiply.outer(_SPEEDS, _SPEEDS) + _OWN * np.eye(_SPEEDS.size)
+)
 LINES = (1, 2, 4)
 """Orders of the input's turn that any gear has: encoders and couplings; two lobes; four of both together."""
+
+# Last torque [N m], None before the first sample; z of the elements.
+LoopState = tuple[float | None, tuple[float, ...]]
 
 Shape = Callable[[Signals, float, float], Floats]
 
@@ -53,6 +63,32 @@ class Remainder(Effect):
         """The shape times the size; see :meth:`Effect.columns`."""
         size, low, high = nonlinear
         return size * self.shape(signals, low, high)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loop(Remainder):
+    """Elements that slip one after the other, as in any friction of solids (Prandtl and Ishlinskii)."""
+
+    remembers: bool = True
+    shape: Shape = lambda signals, low, high: np.empty((signals.size, 0))
+
+    def columns(self, signals: Signals, nonlinear: Values) -> Floats:
+        """Every run from relaxed elements; see :meth:`Effect.columns`."""
+        return Effect.columns(self, signals, nonlinear)
+
+    def start(self, nonlinear: Values) -> LoopState:
+        """No torque yet; all is relaxed."""
+        return None, (0.0,) * len(_REACHES)
+
+    def advance(self, state: LoopState, signals: Signals, nonlinear: Values) -> Stepped:
+        """Let the elements slip; see :meth:`Effect.advance`."""
+        torque, (size, low, high) = signals.torque, nonlinear
+        if not torque.size:
+            return np.empty((0, len(_REACHES))), state
+        change = np.diff(torque, prepend=torque[0] if state[0] is None else state[0])
+        change /= max(high - low, 1e-9)
+        every = [slip(z, change / reach) for z, reach in zip(state[1], _REACHES, strict=True)]
+        return size * np.stack(every, axis=1), (float(torque[-1]), tuple(float(z[-1]) for z in every))
 
 
 def _quantities(count: int, unit: str, of: str) -> tuple[Quantity, ...]:
@@ -83,9 +119,18 @@ def _torque(signals: Signals, low: float, high: float) -> Floats:
 
 
 def _speed(signals: Signals, low: float, high: float) -> Floats:
-    v = _inside(signals.forward_speed, low, high)
-    smooth = [v, v * np.abs(v), np.abs(v), v**2]
-    return np.stack([*(np.tanh(v / width) for width in _SIGNS), *smooth], axis=1)
+    """What changes its sign with the motion, and what does not: constant, in proportion, and other laws.
+
+    And what changes its sign with the motion and grows with the load, as friction of loaded teeth does.
+    """
+    speed = _inside(signals.forward_speed, low, high)
+    size = np.maximum(np.abs(speed), 1e-9)
+    node = np.interp(np.log(size), np.log(_SPEEDS), np.arange(_SPEEDS.size))
+    law = np.maximum(1.0 - np.abs(node[:, None] - np.arange(_SPEEDS.size)), 0.0) @ _SPEED_LAWS
+    law *= np.minimum(np.abs(speed) / _SPEEDS[0], 1.0)[:, None]
+    way, load = np.sign(speed)[:, None], np.clip(signals.torque / signals.rated_torque, -1.0, 1.0)[:, None]
+    loads = [load, np.abs(load), np.sqrt(np.abs(load))]
+    return np.concatenate((way * law, law, *(way * law[:, :_LOADED] * each for each in loads)), axis=1)
 
 
 def _place(signals: Signals, low: float, high: float) -> Floats:
@@ -133,13 +178,21 @@ TORQUE = Remainder(
     quantities=_quantities(2 * _SEGMENTS, "rad/(N m)", "N m"),
     shape=_torque,
 )
+LOOP = Loop(
+    name="function_of_history",
+    cause="The torsion depends on where the torque came from.",
+    frame="torque",
+    needs=("torque", "run"),
+    source="friction in the teeth and the cup: loops of half an arcminute are usual",
+    quantities=_quantities(len(_REACHES), "rad", "N m"),
+)
 SPEED = Remainder(
     name="function_of_speed",
     cause="A part follows the speed and its direction.",
     frame="input",
-    needs=("speed",),
+    needs=("speed", "torque"),
     source="friction that is usual, and lags of the streams",
-    quantities=_quantities(len(_SIGNS) + 4, "rad", "rad/s"),
+    quantities=_quantities(2 * _SPEEDS.size + 3 * _LOADED, "rad", "rad/s"),
     follows="speed",
     shape=_speed,
 )
@@ -176,5 +229,5 @@ ORDERS = tuple(
     )
     for order in LINES
 )
-REMAINDERS = (TORQUE, SPEED, PLACE, TIME, *ORDERS)
+REMAINDERS = (TORQUE, LOOP, SPEED, PLACE, TIME, *ORDERS)
 """All of them; a model file may hold each once."""

@@ -26,6 +26,7 @@ from hd_diag.effects.remainders import ORDERS, PLACE
 _MOST, _TURNS = 5, 12  # causes; turns of a search
 _RIVALS = 6  # of each cause, that are settled in its place
 _TRIED = 4  # candidates that are settled in each turn
+_POLISHED = 2  # of these, at most
 _AGAIN = 2  # times that some are: the next best where none of the best is foretold
 _HOPEFUL = 2.0  # log odds that a candidate may lack where the fit stands: steps of the parameters bring more
 _NEAR = 0.5  # share of the best candidate's gain from which another is tried
@@ -39,7 +40,7 @@ _DATUM_STEPS = (2.0, 4.0, 8.0, 16.0)  # to either side, in units of the paramete
 _PLAINLY = 25.0  # log odds on some rows, from which a cause holds on all
 _TO_MINIMUM = 5  # rounds of settling
 _FIRST, _TURN = 0.15, 0.6  # of the time, that is gone before; of what is left of the search, after each turn
-RESTARTS = 2  # times that the parameters are searched for again, beside the causes by then
+RESTARTS = 1  # times that the parameters are searched for again, beside the causes by then
 
 
 SEARCHED = 0.6
@@ -94,8 +95,9 @@ def candidates(at: Set) -> list[Candidate]:
     for effect in searched(fit):
         if effect.name in at.names or effect.name in lines:
             continue
-        for number, nonlinear in enumerate(effect.starts(fit.signals, rest).points):
-            if fit.white(effect, nonlinear).shape[1]:
+        rough = fit.roughly(effect)
+        for number, nonlinear in enumerate(effect.starts(rough.signals, rest).points):
+            if rough.white(effect, nonlinear).shape[1]:
                 points[f"{effect.name}/{number}"] = (effect, nonlinear)
     evidence = at.evidence(points.items())
     now, best = evidence.log(at.widths), dict[str, Candidate]()
@@ -183,7 +185,7 @@ def search(
     """
     work = every.work
     first = begun(starts[0].with_noise(starts[0].data.given))
-    whiten = first.learned().whiten
+    whiten = first.relearned().fit.whiten
     minima = [begun(replace(start, whiten=whiten)) for start in starts]
     if turned := _with_torque_zero(minima[0].at(starts[0].parameters), torque_zero):
         minima = [one.on(turned) for one in minima]
@@ -213,7 +215,7 @@ def search(
                 break
     if minima[0] is not scanned:
         minima[0], reach = _along_datum_in_time(minima[0], rows)
-    best, known = minima[0].moved_to(every).settled(_TO_MINIMUM).relearned(), _plain(instead)
+    best, known = minima[0].moved_to(every).settled(_TO_MINIMUM), _plain(instead)
     instead, left = known, Left()
     with work.until(SEARCHED, FURTHER_CAUSES):
         for turn in range(_TURNS):
@@ -239,8 +241,10 @@ def _better(now: Set, known: Instead, left: Left) -> tuple[Set | None, Instead]:
     Of some causes it may be `known` that nothing is. Sets that are `left` for others are not gone back to:
     with noise learned beside each of two sets the other one may seem better.
     """
-    found = _next(now, left) if len(now.causes) < _MOST else None
+    found = _next(now) if len(now.causes) < _MOST else None
     if found is not None:
+        if _kinds(found.causes) in left:
+            left.add(_kinds(now.causes))
         return _fewer(found), known
     found, instead = _exchanged(now, known, left)
     if found is not None:
@@ -345,7 +349,6 @@ def _exchanged(now: Set, known: Instead, left: Left) -> tuple[Set | None, Instea
         for trial in trials:
             name = "".join(trial.names - without.names)
             odds[name] = max(trial.value - now.value, odds.get(name, -math.inf))
-        odds[""] = max(odds[""], without.by_own_noise() - now.by_own_noise())
         if odds[""] > 0.0 and _kinds(without.causes) not in left:
             return without, {}
         instead[effect.name] = odds
@@ -427,10 +430,9 @@ def _at_minima(found: Set, others: list[Set], rng: np.random.Generator) -> list[
     return sets
 
 
-def _next(now: Set, left: Left) -> Set | None:
+def _next(now: Set) -> Set | None:
     """The set with one cause more, settled; None where none is worth its cost and foretold."""
-    new = (one for one in candidates(now) if _kinds((*now.causes, one.item)) not in left)
-    ranked = [one for one in new if one.gain > -_HOPEFUL]
+    ranked = [one for one in candidates(now) if one.gain > -_HOPEFUL]
     for _ in range(_AGAIN):
         if not ranked:
             break
@@ -444,10 +446,13 @@ def _next(now: Set, left: Left) -> Set | None:
 
 def _best_of(near: Sequence[Candidate], now: Set) -> Set | None:
     """The best set with one of some candidates more; None where none is better than without."""
-    settled = [(one.name, now.beside(one.item, one.widths).settled()) for one in near]
+    begun = [(one.name, now.beside(one.item, one.widths)) for one in near]
+    # What blocks do not foretell where the fit stands they hardly do a step away.
+    settled = [(name, one.settled()) for name, one in begun if one.foretells(name)]
     trials = [(name, one) for name, one in settled if one.sensible and one.foretells(name)]
+    trials.sort(key=lambda pair: -pair[1].value)
     best = max([now.value, *(one.value for _, one in trials)])
-    polished = [(name, one.polished()) for name, one in trials if one.value > best - _NEARLY]
+    polished = [(name, one.polished()) for name, one in trials[:_POLISHED] if one.value > best - _NEARLY]
     # Polished, a cause may fit what blocks do not foretell: then it stays as it was.
     better = [(name, one) for name, one in (*polished, *trials) if one.sensible and one.value > now.value]
     better.sort(key=lambda pair: -pair[1].value)

@@ -14,11 +14,11 @@ from hd_diag.diagnosis.fit.design import foretold, holds, projection
 from hd_diag.diagnosis.fit.joint_refinement import free, polished, sensible, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.present_effects import Item
-from hd_diag.diagnosis.noise import whitening
 from hd_diag.diagnosis.record import Record
+from hd_diag.diagnosis.stamps import usual_step
 from hd_diag.drive import Drive
 from hd_diag.effects.effect import Effect
-from hd_diag.effects.remainders import ORDERS, PLACE, SPEED, TIME, TORQUE, Remainder
+from hd_diag.effects.remainders import LOOP, ORDERS, PLACE, SPEED, TIME, TORQUE, Remainder
 
 Widths = Mapping[str, float]
 
@@ -38,6 +38,7 @@ class Remainders:
         forward = np.sign(drive.kinematics.ratio) * record.speed
         usual = {
             TORQUE: (calibration.USUAL_TORSION * compliance, _range(record.torque)),
+            LOOP: (calibration.USUAL_SLOW, _range(record.torque)),
             SPEED: (calibration.USUAL_SLOW, _range(forward)),
             PLACE: (calibration.USUAL_SLOW, _range(record.torque)),
             TIME: (calibration.USUAL_SLOW, (float(record.time[0]), float(record.time[-1]))),
@@ -113,7 +114,8 @@ class Set:
         target = fit.residual_white - fit.always_white[:, held] @ steps
         precision[held], pull[held] = _HELD, 0.0
         columns = [fit.always_white, *(fit.white(*item) for item in fixed)]
-        groups, apart = ((_group(fit, *one) for one in some) for some in (own, candidates))
+        groups = (_group(fit, *one) for one in own)
+        apart = (_group(fit.roughly(item[0]), name, item) for name, item in candidates)
         return Evidence.of(columns, target, precision, pull, groups, apart)
 
     def valued(self) -> Set:
@@ -147,13 +149,6 @@ class Set:
         better = replace(self, fit=fit, motor=chosen[first:last], causes=chosen[last:]).valued()
         return better if better.value > self.value else self
 
-    def by_own_noise(self) -> float:
-        """Log evidence with the noise of what it leaves: beside a cause slow noise looks like the cause."""
-        own = replace(self.fit, whiten=whitening(self.fit.remainder(self.chosen), self.fit.data.run))
-        rows, scale = np.count_nonzero(own.residual_white), own.whiten.scale
-        log = replace(self, fit=own).evidence().log(self.widths)
-        return log + self.presence - calibration.TEMPER * rows * float(np.log(scale))
-
     def foretells(self, name: str) -> bool:
         """Whether a cause holds in blocks of the record that others foretell: evidence believes the model.
 
@@ -174,7 +169,37 @@ class Set:
 
     def relearned(self) -> Set:
         """With noise learned beside it, valued anew: the evidence of other noise is not comparable."""
-        return replace(self, fit=self.learned().corrected(self.chosen)).valued()
+        learned, before = self.learned(), self.fit.whiten
+        whiten = replace(learned.whiten, slow=before.slow, kept=before.kept)
+        return replace(self, fit=replace(learned, whiten=whiten).corrected(self.chosen)).valued()._slowed()
+
+    def _slowed(self) -> Set:
+        """With the slow noise beside which the record is most likely: steps of its size and of its memory."""
+        kept = np.exp(-usual_step(self.fit.data.record.time) / np.array(calibration.SLOW_FOR)).tolist()
+        now = self.fit.whiten
+        size, memory = (
+            int(np.argmin(np.abs(np.subtract(choices, value))))
+            for choices, value in ((calibration.SLOW, now.slow), (kept, now.kept or kept[1]))
+        )
+        best, value = self, self._likelihood
+        for size_step, memory_step in ((0, -1), (0, 1), (1, 0), (-1, 0), (0, -1), (0, 1)):
+            while True:
+                there = size + size_step, memory + memory_step
+                if not (0 <= there[0] < len(calibration.SLOW) and 0 <= there[1] < len(kept)):
+                    break
+                whiten = replace(now, slow=calibration.SLOW[there[0]], kept=kept[there[1]])
+                trial = replace(best, fit=replace(best.fit, whiten=whiten)).valued()
+                if trial._likelihood <= value:
+                    break
+                best, value, (size, memory) = trial, trial._likelihood, there
+        return best
+
+    @property
+    def _likelihood(self) -> float:
+        """Log evidence that can be compared with that beside other slow noise, or none."""
+        whiten = self.fit.whiten
+        present = calibration.SLOW_NOISE if whiten.slow else 0.0
+        return self.value + present - calibration.TEMPER * whiten.logarithm(self.fit.data.run)
 
     def learned(self) -> LinearisedFit:
         """The fit with the noise of what it leaves beyond all that any cause may look like."""
@@ -229,7 +254,7 @@ def presence(fit: LinearisedFit, effect: Effect) -> float:
     if effect.given or isinstance(effect, Remainder):
         return 0.0
     known = calibration.PRESENT if effect.searched and effect.inspect else calibration.UNKNOWN
-    return known - float(np.log(max(effect.starts(fit.signals).trials, 1)))
+    return known - float(np.log(fit.data.trials(effect)))
 
 
 def _group(fit: LinearisedFit, name: str, item: Item) -> Columns:

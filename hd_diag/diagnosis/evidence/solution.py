@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from hd_diag.arrays import Floats
-from hd_diag.diagnosis.calibration import LEAST_SIZE, ODDS, TEMPER
+from hd_diag.diagnosis.calibration import LEAST_SIZE, ODDS, TEMPER, USUAL_LOOP
 from hd_diag.diagnosis.evidence.naming import Standing
 from hd_diag.diagnosis.evidence.order_table import OrderRow
 from hd_diag.diagnosis.evidence.sets import Set
@@ -22,8 +22,9 @@ from hd_diag.diagnosis.fit.joint_refinement import covariance
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.effects.effect import Effect, Values
 from hd_diag.effects.motor_current import MotorCurrent
-from hd_diag.effects.remainders import Remainder
+from hd_diag.effects.remainders import LOOP, ORDERS, Remainder
 
+_NEARLY_ALL = 0.99  # of the rows: at its very ends few rows tell of a function
 _CHANCE_SHARE = 3.0  # times what noise alone gives to the columns of what wanders
 
 
@@ -47,6 +48,9 @@ class Cause:
         How sure it is, and which causes this record cannot tell from it.
     gain, gain_low, gain_high : float
         Share of the held-out deviance that it explains, with its interval.
+    shared : ndarray, shape (k,)
+        By how much its coefficients change where slow remainders are as usual: what these have grown for may
+        be its own, or it theirs. It is part of the covariance.
     """
 
     effect: Effect
@@ -59,6 +63,7 @@ class Cause:
     gain_low: float = 0.0
     gain_high: float = 0.0
     reach: float = math.inf
+    shared: Floats = field(default_factory=lambda: np.zeros(0))
 
     @property
     def alike(self) -> tuple[str, ...]:
@@ -76,7 +81,7 @@ class Function:
     nonlinear : tuple of float
     coefficients : ndarray, shape (k,)
     rms, largest : float
-        Of its part in the error, and its greatest value [rad].
+        Of its part in the error, and what hardly any row exceeds [rad].
     at : float
         Where that is: torque [N m], speed of the input [rad/s], place of the output [rad] or time [s].
     is_larger : bool
@@ -138,7 +143,8 @@ class Solution:
         """The same causes with numbers from another fit."""
         numbers = _numbers(fit, self.chosen)
         again = tuple(
-            replace(cause, **one._asdict()) for cause, one in zip(self.causes, numbers, strict=False)
+            replace(cause, **one.also(cause.shared)._asdict())
+            for cause, one in zip(self.causes, numbers, strict=False)
         )
         functions = tuple(
             replace(one, coefficients=own.coefficients, rms=own.rms, largest=own.largest, at=own.at)
@@ -153,17 +159,41 @@ def solution(best: Set, standings: dict[str, Standing], rng: np.random.Generator
     known = [one for one in best.causes if not isinstance(one[0], UnmodelledTerm)]
     terms = [one for one in best.causes if isinstance(one[0], UnmodelledTerm)]
     chosen = (*known, *terms, *best.given)
-    found = []
+    found, shared = [], _shared(best)
     for index, ((effect, nonlinear), numbers) in enumerate(zip(chosen, _numbers(fit, chosen), strict=True)):
         if index < len(known):
             share = _share(fit, chosen, index)
             low, high = interval(share, rng)
             gains = float(np.mean(share)), low, min(high, 1.0)
-            standing = standings[effect.name]
-            found.append(Cause(effect, nonlinear, *numbers[:3], standing, *gains, reach=numbers.reach))
+            standing, own = standings[effect.name], shared[effect.name][: effect.size]
+            found.append(
+                Cause(
+                    effect,
+                    nonlinear,
+                    **numbers.also(own)._asdict(),
+                    standing=standing,
+                    gain=gains[0],
+                    gain_low=gains[1],
+                    gain_high=gains[2],
+                    shared=own,
+                )
+            )
     causes, given = tuple(sorted(found, key=lambda cause: -cause.gain)), (*terms, *best.given)
     larger = [effect.name for effect, _ in best.remainders.items if best.widths[effect.name] > 1.0]
     return Solution(fit, causes, given, functions=_functions(fit, chosen, larger))
+
+
+def _shared(best: Set) -> dict[str, Floats]:
+    """By how much coefficients of causes change where slow remainders are as usual, by name."""
+    best = best if best.widths else best.valued()
+    evidence = best.evidence()
+    slow = {effect.name for effect, _ in best.remainders.items if effect not in ORDERS}
+    usual = {name: 1.0 if name in slow else width for name, width in best.widths.items()}
+    there, here = (evidence.coefficients(widths)[1] for widths in (usual, best.widths))
+    return {
+        effect.name: (there[effect.name] - here[effect.name])[: effect.size] * effect.usual
+        for effect, _ in best.causes
+    }
 
 
 def part_of(fit: LinearisedFit, effect: Remainder, nonlinear: Values, coefficients: Floats) -> Floats:
@@ -180,7 +210,7 @@ def _functions(fit: LinearisedFit, chosen: Chosen, larger: Collection[str]) -> t
         if not isinstance(effect, Remainder):
             continue
         part = part_of(fit, effect, nonlinear, beta[place])
-        rms, most = float(np.std(part)), int(np.argmax(np.abs(part)))
+        rms, most = float(np.std(part)), int(np.argsort(np.abs(part))[int(_NEARLY_ALL * (part.size - 1))])
         where = getattr(fit.signals, effect.follows)
         foretold = 0.5 * TEMPER * float(built.held_out_gain(place)[0].sum())  # log odds
         described = effect.lasting and rms >= LEAST_SIZE and foretold > ODDS
@@ -192,7 +222,7 @@ def _functions(fit: LinearisedFit, chosen: Chosen, larger: Collection[str]) -> t
                 rms,
                 float(abs(part[most])),
                 float(where[most]),
-                effect.name in larger,
+                effect.name in larger and (effect is not LOOP or 2.0 * abs(part[most]) > USUAL_LOOP),
                 described,
             )
         )
@@ -206,6 +236,12 @@ class _Numbers(NamedTuple):
     covariance: Floats
     amplitude: float
     reach: float
+
+    def also(self, shared: Floats) -> _Numbers:
+        """With what the coefficients (k,) share with remainders as part of the covariance."""
+        spread = self.covariance.copy()
+        spread[: shared.size, : shared.size] += np.outer(shared, shared)
+        return self._replace(covariance=spread)
 
 
 def _numbers(fit: LinearisedFit, chosen: Chosen) -> list[_Numbers]:

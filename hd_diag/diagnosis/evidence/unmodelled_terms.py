@@ -170,14 +170,6 @@ def _full(values: Floats) -> Floats:
     return np.asarray(values / max(float(np.max(np.abs(values), initial=0.0)), 1e-300))
 
 
-def _sided_torque(signals: Signals) -> Floats:
-    way = np.tanh(_full(signals.forward_speed) / 0.02)
-    if min(np.mean(way > 0.5), np.mean(way < -0.5)) < 0.05 or np.ptp(np.abs(signals.torque)) == 0.0:
-        return np.empty((signals.size, 0))
-    load = _full(signals.torque)
-    return np.stack((way * load, way * np.abs(load)), axis=1)
-
-
 def _creep(signals: Signals) -> Floats:
     """Travel, torque times travel, and a constant for every stretch but the first: the creep before it."""
     stretches = bounds(signals.run)
@@ -235,12 +227,6 @@ OUTPUT_LINES = tuple(
 """Several of a kind, of which the first that is left is tried."""
 
 UNMODELLED_TERMS = (
-    UnmodelledTerm(
-        name="sided_torque",
-        shape=_sided_torque,
-        cause="goes with torque and direction of motion together",
-        frame="torque",
-    ),
     UnmodelledTerm(
         name="creep",
         shape=_creep,

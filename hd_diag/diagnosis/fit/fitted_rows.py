@@ -29,7 +29,7 @@ from hd_diag.diagnosis.record import Record
 from hd_diag.drive import Drive
 from hd_diag.effects import Catalogue
 from hd_diag.effects.array_cache import ArrayCache
-from hd_diag.effects.effect import Effect, Values
+from hd_diag.effects.effect import Effect, Starts, Values
 from hd_diag.effects.signals import Signals
 
 _BLOCKS = 24
@@ -67,7 +67,7 @@ class FittedRows:
     known: PassNoise | None = None
     _signals: dict[bytes, Signals] = field(default_factory=dict, init=False)
     _testable: dict[str, tuple[bool, str]] = field(default_factory=dict, init=False)
-    _grids: dict[str, list[Values]] = field(default_factory=dict, init=False)
+    _grids: dict[str, Starts] = field(default_factory=dict, init=False)
 
     @property
     def source(self) -> Record:
@@ -194,8 +194,15 @@ class FittedRows:
 
     def grid(self, effect: Effect) -> list[Values]:
         """Start points of an effect's nonlinear values."""
+        return self._starts(effect).points
+
+    def trials(self, effect: Effect) -> int:
+        """Number of places among which an effect is looked for."""
+        return max(self._starts(effect).trials, 1)
+
+    def _starts(self, effect: Effect) -> Starts:
         if effect.name not in self._grids:
-            self._grids[effect.name] = effect.starts(self._motion).points
+            self._grids[effect.name] = effect.starts(self._motion)
         return self._grids[effect.name]
 
     def grid_step(self, effect: Effect, point: Values) -> Floats:

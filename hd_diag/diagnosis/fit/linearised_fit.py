@@ -23,7 +23,7 @@ from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.work import Work
 from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE, Catalogue
-from hd_diag.effects.effect import Effect, Values
+from hd_diag.effects.effect import Effect, Stage, Values
 from hd_diag.effects.mesh_torque import MeshTorque
 from hd_diag.effects.scaling import of_drive
 from hd_diag.effects.signals import Signals
@@ -226,6 +226,18 @@ class LinearisedFit:
         """The residual whitened."""
         return self.whiten(self.residual, self.data.run)
 
+    def roughly(self, effect: Effect) -> LinearisedFit:
+        """Where an effect that has yet to be chosen is looked for: at nearby parameters, if teeth make it.
+
+        Which pairs bear how much there is known; what is chosen has columns of its own.
+        """
+        return self._near if effect.of_teeth or effect.stage == Stage.SPRING else self
+
+    @cached_property
+    def _near(self) -> LinearisedFit:
+        parameters = self.data.model.near(self.parameters)
+        return self if parameters is self.parameters else replace(self, parameters=parameters)
+
     def columns(self, effect: Effect, nonlinear: Values) -> Floats:
         """Columns of an effect, shape (n, k) [rad per unit]; of a present one those that hold at its size."""
         return self.effects.columns(effect, nonlinear)
@@ -235,7 +247,7 @@ class LinearisedFit:
         self.work.check()
         if not keep:
             return self.whiten(self.effects.new_columns(effect, nonlinear), self.data.run)
-        noise = self.whiten.coefficients.tobytes(), self.whiten.scale
+        noise = self.whiten.key
         return self.effects.kept(
             "white",
             *noise,

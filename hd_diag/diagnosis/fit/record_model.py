@@ -23,6 +23,7 @@ from hd_diag.effects.mesh_torque import MeshTorque
 from hd_diag.effects.signals import Signals
 
 _MOST_KEPT = 64 << 20  # bytes
+_ALIKE = 2.0  # in their units, by which parameters may differ whose teeth bear alike
 _KNOWN = 3  # parameters, for a search that goes back to them
 
 
@@ -50,6 +51,7 @@ class RecordModel:
     configured: Drive
     work: Work = field(default_factory=Work)
     _known: dict[bytes, AtParameters] = field(default_factory=dict, init=False)
+    _near: dict[bytes, Floats] = field(default_factory=dict, init=False)
 
     @cached_property
     def kept(self) -> ArrayCache:
@@ -60,9 +62,19 @@ class RecordModel:
         """The model at parameters in units of `fit_parameters.units`; the latest are kept."""
         known, key = self._known, parameters.tobytes()
         known[key] = known.pop(key) if key in known else self._at(parameters)
-        while len(known) > _KNOWN:
-            del known[next(iter(known))]
+        while len(known) > _KNOWN + len(self._near):
+            del known[next(one for one in known if one not in self._near)]
         return known[key]
+
+    def near(self, parameters: Floats) -> Floats:
+        """Known parameters near some (p,); the same where none are."""
+        for one in self._near.values():
+            if np.max(np.abs(np.delete(one - parameters, fit_parameters.CUP))) < _ALIKE:
+                return one
+        while len(self._near) >= _KNOWN:
+            del self._near[next(iter(self._near))]
+        self.at(parameters)
+        return self._near.setdefault(parameters.tobytes(), parameters)
 
     @property
     def motion(self) -> Signals:
