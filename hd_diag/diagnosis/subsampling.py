@@ -18,7 +18,8 @@ from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.record import Record
 
 LIMIT = 20_000
-"""Rows that a fit gets, at most: the whole process then needs less than 1 GiB."""
+"""Rows that a fit gets, at most. Chosen for speed: more rows average noise, but not what no model describes.
+The whole process then needs less than 1 GiB."""
 
 _STRETCHES = 48  # two for each block of the fit
 _SHORTEST = 125  # rows of a stretch: shorter ones cover more of the motion, longer ones more noise

@@ -69,7 +69,7 @@ EFFECT = CoulombWindup(
             "omega_0, of the input; 0: kept at rest",
             linear=False,
             shape=True,
-            most=0.3,
+            most=0.3,  # letting go at once, z is another function of the speed
         ),
         Quantity(
             "stribeck",
@@ -80,7 +80,7 @@ EFFECT = CoulombWindup(
             "b, share of it that is more at low speed",
             linear=False,
             shape=True,
-            most=1.0,
+            most=1.0,  # chosen: at rest hardly more than twice the friction
         ),
         Quantity(
             "stribeck_speed", "rad/s", 0.5, 20.0, 5.0, "omega_s, of the input", linear=False, shape=True

@@ -91,7 +91,7 @@ EFFECT = Hysteresis(
             5.0,
             "r_2, half the torque over which they stick",
             linear=False,
-            least=0.3,
+            least=0.3,  # within less there is the torque's noise
         ),
         Quantity(
             "spread", "-", 1.0, 8.0, 2.0, "s, of the elements' torques about it", linear=False, shape=True

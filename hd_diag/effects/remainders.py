@@ -46,8 +46,7 @@ Shape = Callable[[Signals, float, float], Floats]
 class Remainder(Effect):
     """A function with coefficients of standard normal prior, in units of its `size`.
 
-    `shape` makes columns (n, count) of order one from signals and the range (`low`, `high`) that it covers;
-    beyond it the function goes on as it ends. `follows` is the signal that it is a function of.
+    It covers a range, from `low` to `high`. `follows` is the signal that it is a function of.
     """
 
     kind: Kind = "kinematic"
@@ -57,6 +56,16 @@ class Remainder(Effect):
     confused_with: tuple[str, ...] = ()
     inspect: str = ""
     follows: str = "torque"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Law(Remainder):
+    """A remainder of each moment alone.
+
+    `shape` makes columns (n, count) of order one from signals and the range; beyond it the function goes on
+    as it ends.
+    """
+
     shape: Shape
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
@@ -70,11 +79,6 @@ class Loop(Remainder):
     """Elements that slip one after the other, as in any friction of solids (Prandtl and Ishlinskii)."""
 
     remembers: bool = True
-    shape: Shape = lambda signals, low, high: np.empty((signals.size, 0))
-
-    def columns(self, signals: Signals, nonlinear: Values) -> Floats:
-        """Every run from relaxed elements; see :meth:`Effect.columns`."""
-        return Effect.columns(self, signals, nonlinear)
 
     def start(self, nonlinear: Values) -> LoopState:
         """No torque yet; all is relaxed."""
@@ -106,6 +110,12 @@ def _inside(values: Floats, low: float, high: float) -> Floats:
     return np.asarray(np.clip(values, low, high) / max(-low, high, 1e-9))
 
 
+def _hats(place: Floats, count: int) -> Floats:
+    """Straight pieces between nodes 0, 1, 2 and so on at places (n,): shares of each node, (n, count)."""
+    shares: Floats = np.maximum(1.0 - np.abs(place[:, None] - np.arange(count)), 0.0)
+    return shares
+
+
 def _torque(signals: Signals, low: float, high: float) -> Floats:
     """Torque within each segment: a compliance of its own there [N m], of either sign."""
     parts = []
@@ -126,7 +136,7 @@ def _speed(signals: Signals, low: float, high: float) -> Floats:
     speed = _inside(signals.forward_speed, low, high)
     size = np.maximum(np.abs(speed), 1e-9)
     node = np.interp(np.log(size), np.log(_SPEEDS), np.arange(_SPEEDS.size))
-    law = np.maximum(1.0 - np.abs(node[:, None] - np.arange(_SPEEDS.size)), 0.0) @ _SPEED_LAWS
+    law = _hats(node, _SPEEDS.size) @ _SPEED_LAWS
     law *= np.minimum(np.abs(speed) / _SPEEDS[0], 1.0)[:, None]
     way, load = np.sign(speed)[:, None], np.clip(signals.torque / signals.rated_torque, -1.0, 1.0)[:, None]
     loads = [load, np.abs(load), np.sqrt(np.abs(load))]
@@ -146,8 +156,7 @@ def _time(signals: Signals, low: float, high: float) -> Floats:
     pieces = min(int((high - low) / _SLOWEST), _KNOTS - 1)
     if pieces > 0:
         at = np.clip((signals.time - low) / (high - low), 0.0, 1.0) * pieces
-        knots = np.arange(pieces + 1)
-        hats[:, : pieces + 1] = np.maximum(1.0 - np.abs(at[:, None] - knots), 0.0)
+        hats[:, : pieces + 1] = _hats(at, pieces + 1)
     return hats
 
 
@@ -161,15 +170,14 @@ def _line(order: int) -> Shape:
 
     def shape(signals: Signals, low: float, high: float) -> Floats:
         load = np.minimum(np.abs(signals.torque) / max(-low, high, 1e-9), 1.0)
-        node = np.sqrt(load) * (_HATS - 1)
-        law = np.maximum(1.0 - np.abs(node[:, None] - np.arange(_HATS)), 0.0) @ smooth
+        law = _hats(np.sqrt(load) * (_HATS - 1), _HATS) @ smooth
         waves = [f(order * signals.wave_generator_angle)[:, None] * law for f in (np.cos, np.sin)]
         return np.concatenate(waves, axis=1)
 
     return shape
 
 
-TORQUE = Remainder(
+TORQUE = Law(
     name="function_of_torque",
     cause="The torsion has another shape than the model's.",
     frame="torque",
@@ -186,7 +194,7 @@ LOOP = Loop(
     source="friction in the teeth and the cup: loops of half an arcminute are usual",
     quantities=_quantities(len(_REACHES), "rad", "N m"),
 )
-SPEED = Remainder(
+SPEED = Law(
     name="function_of_speed",
     cause="A part follows the speed and its direction.",
     frame="input",
@@ -196,7 +204,7 @@ SPEED = Remainder(
     follows="speed",
     shape=_speed,
 )
-PLACE = Remainder(
+PLACE = Law(
     name="function_of_place",
     cause="A part belongs to the output's place.",
     frame="output",
@@ -206,7 +214,7 @@ PLACE = Remainder(
     follows="output_angle",
     shape=_place,
 )
-TIME = Remainder(
+TIME = Law(
     name="function_of_time",
     cause="A part drifts with time.",
     frame="time",
@@ -218,7 +226,7 @@ TIME = Remainder(
     shape=_time,
 )
 ORDERS = tuple(
-    Remainder(
+    Law(
         name=f"line_{order}",
         cause=f"A wave of {order} per input turn, which changes with the torque's magnitude.",
         frame="input",

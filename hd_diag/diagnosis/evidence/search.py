@@ -238,8 +238,8 @@ def _tell(work: Work, half: float, turn: int, text: str) -> None:
 def _better(now: Set, known: Instead, left: Left) -> tuple[Set | None, Instead]:
     """A set with one cause more, or another in the place of one; None where none is better.
 
-    Of some causes it may be `known` that nothing is. Sets that are `left` for others are not gone back to:
-    with noise learned beside each of two sets the other one may seem better.
+    Of some causes it may be `known` that nothing is. Of two sets with noise learned beside each the other one
+    may seem better: what is `left` is gone back to with one cause more, and the lesser then left for good.
     """
     found = _next(now) if len(now.causes) < _MOST else None
     if found is not None:

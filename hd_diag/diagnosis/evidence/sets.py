@@ -36,7 +36,7 @@ class Remainders:
     def of(record: Record, drive: Drive, compliance: float) -> Remainders:
         """For a record, beside a drive of some mean compliance [rad/(N m)]."""
         forward = np.sign(drive.kinematics.ratio) * record.speed
-        usual = {
+        usual: dict[Remainder, tuple[float, tuple[float, float]]] = {
             TORQUE: (calibration.USUAL_TORSION * compliance, _range(record.torque)),
             LOOP: (calibration.USUAL_SLOW, _range(record.torque)),
             SPEED: (calibration.USUAL_SLOW, _range(forward)),
@@ -183,7 +183,7 @@ class Set:
         )
         best, value = self, self._likelihood
         for size_step, memory_step in ((0, -1), (0, 1), (1, 0), (-1, 0), (0, -1), (0, 1)):
-            while True:
+            while size or size_step:  # without slow noise its memory changes nothing
                 there = size + size_step, memory + memory_step
                 if not (0 <= there[0] < len(calibration.SLOW) and 0 <= there[1] < len(kept)):
                     break
