@@ -112,6 +112,23 @@ def test_what_the_record_does_not_cover_is_told() -> None:
     assert part.value == pytest.approx(60.0, abs=3.0)
 
 
+def test_a_whole_turn_may_be_gone_through_in_a_few_rows() -> None:
+    """All rows cover the turn, and hardly any one of the fewer by which the shape is drawn."""
+    rows, quick = 20_000, 150
+    angle = (
+        2.0
+        * np.pi
+        * RATIO
+        * np.concatenate((np.linspace(0.0, 0.2, rows - quick), np.linspace(0.2, 1.0, quick)))
+    )
+    time, load = np.arange(rows) / 100.0, 0.5 * np.sin(np.arange(rows) / 700.0)
+    noise = NOISE * np.random.default_rng(1).standard_normal(rows)
+    output = angle / RATIO - ARCSEC * (lobes(angle, load) + 300.0 * load + noise)
+    one = found(prepared({"time": time, "input": angle, "output": output, "torque": RATED * load}))
+    assert one.turns == 1.0
+    assert abs(one.value - 60.0) < 10.0
+
+
 def test_beside_much_noise_it_is_off_by_its_deviation() -> None:
     """In 20 records whose noise is as large as the wave, without a bias."""
     each = [found(record(lobes, seed, noise=30.0, rows=1000), noise=30.0) for seed in range(20)]

@@ -87,7 +87,9 @@ def accuracy(
     laws = np.stack([centered(law, some.run) for law in _slow_laws(some, rated_torque)], axis=1)
     error = centered(some.output_angle - some.input_angle / kinematics.ratio, some.run)
     rest = error - laws @ (inverse(laws.T @ laws) @ (laws.T @ error))
-    given = kinematics, rated_torque, orders
+    # Of a part of a turn a wave of it is no wave.
+    turns = _covered(record)
+    given = kinematics, rated_torque, orders, _OUTPUT_ORDERS if turns >= WHOLE_TURN else ()
     waves = _waves(some, some.torque, *given)
     own, kept = _apart(waves, laws, some.run)
     levels = np.unique(np.quantile(some.torque, _LEVELS)).tolist()
@@ -103,7 +105,7 @@ def accuracy(
     spread = math.hypot(shape * std / (0.5 * _EIGHT), scatter / math.sqrt(_STRETCHES), noise[1])
     # d sqrt(x) = dx / (2 sqrt(x)), and no more than sqrt(dx) where x vanishes.
     deviation = min(spread / (2.0 * math.sqrt(max(square, 1e-300))), math.sqrt(spread))
-    return Accuracy(math.sqrt(_EIGHT * square), math.sqrt(_EIGHT) * deviation, _covered(record))
+    return Accuracy(math.sqrt(_EIGHT * square), math.sqrt(_EIGHT) * deviation, turns)
 
 
 def _slow_laws(record: Record, rated_torque: float) -> list[Floats]:
@@ -122,13 +124,17 @@ def _covered(record: Record) -> float:
 
 
 def _waves(
-    record: Record, torque: Floats, kinematics: Kinematics, rated_torque: float, orders: Sequence[float]
+    record: Record,
+    torque: Floats,
+    kinematics: Kinematics,
+    rated_torque: float,
+    orders: Sequence[float],
+    of_output: Sequence[float],
 ) -> Floats:
     """Columns of waves that an error may have at torques (n,) [N m], the most likely first, (n, 2 k)."""
     angle, load = record.input_angle, torque / rated_torque
     own = [turning(order * angle) for order in (*_INPUT_ORDERS, *orders)]
-    if _covered(record) >= WHOLE_TURN:  # of a part of a turn a wave of it is no wave
-        own += [turning(order * angle / kinematics.ratio) for order in _OUTPUT_ORDERS]
+    own += [turning(order * angle / kinematics.ratio) for order in of_output]
     if record.has_torque:
         own += [law[:, None] * wave for wave in own[:_LOADED] for law in (np.tanh(load / _SIDE), load)]
     side = 1.0 if kinematics.output == "flexspline" else -1.0
