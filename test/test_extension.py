@@ -89,8 +89,9 @@ def test_the_verdict_names_the_file_and_its_evidence(folder: Path) -> None:
 
 
 def test_the_model_as_it_runs_is_as_good_as_told(folder: Path, joint: JointConfig) -> None:
+    """No worse on all rows, most of which it was fitted to, than was told of rows that no fit saw."""
     verdict = json.loads((folder / "verdict.json").read_text())
-    assert np.std(fit(joint, folder)[1]) == pytest.approx(verdict["extended"]["rms_live"], rel=0.05)
+    assert 0.9 < np.std(fit(joint, folder)[1]) / verdict["extended"]["rms_live"] < 1.02
     assert verdict["extended"]["rms_live"] == pytest.approx(NOISE, rel=0.1)
     assert verdict["extended"]["rms"] == pytest.approx(NOISE, rel=0.1)
     assert verdict["refit"]["rms"] > 4.5 * NOISE

@@ -89,7 +89,9 @@ def test_what_is_usual_of_causes_goes_with_the_gear(name: str) -> None:
     expected = {"m": (size / ratio) / (25 / 100), "N m": rated / 56.0, "rad/(N m)": 56.0 / rated}
     drive, angle = of_page(name).joints[0].drive, np.linspace(0.0, 60.0, 600)
     record = prepare(0.01 * np.arange(600), angle, angle / ratio, None, None, np.zeros(600, np.int64), ratio)
-    known = linearise(record, drive, fit_parameters.vector(drive, drive)).data.catalogue
+    begun = linearise(record, drive, fit_parameters.vector(drive, drive))
+    known = begun.data.catalogue
+    assert begun.in_record(record, record.run == 0).data.catalogue == known
     for effect, own in zip(CATALOGUE, known, strict=True):
         for q, here in zip(effect.quantities, own.quantities, strict=True):
             scale = expected.get(q.unit, 1.0)

@@ -132,7 +132,7 @@ def test_what_all_rows_show_of_the_noise_is_known_on_some(plain: LinearisedFit) 
     assert plain.data.on(some).passes(part) is None
     told = dataclasses.replace(plain.data, known=known).on(some)
     assert told.passes(part) is known
-    assert told.whitening_of(part).scale == whitening_of(known.covariance).scale
+    assert told.whitening_of(part, np.empty((part.size, 0))).scale == whitening_of(known.covariance).scale
     # What fits better says more of the noise; what fits worse takes nothing back.
     assert dataclasses.replace(plain.data, known=known).passes(own + 3.0 * misfit(plain)) is known
     better = dataclasses.replace(plain.data, known=known._replace(rms=2.0 * known.rms)).passes(measured)

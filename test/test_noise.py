@@ -33,6 +33,16 @@ def test_model_of_known_noise() -> None:
     assert found.scale == pytest.approx(INNOVATION, rel=5.0 / np.sqrt(2 * run.size))
 
 
+@pytest.mark.parametrize(("slow", "kept"), [(0.0, 0.0), (2.0, 0.95)])
+def test_noise_drawn_is_white_after_it(slow: float, kept: float) -> None:
+    """Slow noise included: what was drawn has the likelihood that it is given."""
+    noise = Whitening(np.append(AR, np.zeros(ORDER - 2)), INNOVATION, slow, kept)
+    run = runs(20_000)
+    white = noise(noise.drawn(run.size, np.random.default_rng(3)), run)[ORDER:]
+    assert np.std(white) == pytest.approx(1.0, rel=5.0 / np.sqrt(2 * run.size))
+    assert np.all(np.abs(autocorrelation(white, 50)) < 5.0 / np.sqrt(run.size))
+
+
 def test_white_after_it() -> None:
     """Fitted to one noise, applied to another: what was fitted to would be white by construction."""
     run = runs(20_000)

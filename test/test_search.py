@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 from hd_diag.diagnosis import diagnosis
 from hd_diag.diagnosis.calibration import MISFIT
 from hd_diag.diagnosis.diagnosis import _NO_CAUSES, _described
-from hd_diag.diagnosis.evidence.naming import standings
+from hd_diag.diagnosis.evidence.naming import own_part, standings
 from hd_diag.diagnosis.evidence.search import (
     _better,
     _exchanged,
@@ -40,6 +40,12 @@ from hd_diag.drive import transmission_error
 from hd_diag.effects.effect import Stage
 from hd_diag.effects.signals import Signals
 
+ECCENTRIC = {
+    "amplitude": 500.0 * ARCSEC,
+    "direction": 1.0,
+    "second_amplitude": 0.0,
+    "second_direction": 0.0,
+}
 CENTRED = fit_parameters.vector(CONFIGURED, CONFIGURED)
 (CREEP,) = (term for term in UNMODELLED_TERMS if term.name == "creep")
 
@@ -475,6 +481,42 @@ def test_what_is_left_only_as_the_model_runs_is_said() -> None:
     assert "only as the model runs" in said.description
     assert said.amplitude == pytest.approx(np.sqrt(2.0 * (1.5**2 - 1.0)) * ARCSEC)
     assert _described(swinging(), [], dataclasses.replace(rms, extended=1.2 * ARCSEC), False) == ()
+
+
+def test_a_loop_is_slow_and_an_encoder_is_not() -> None:
+    loop, encoder = EFFECTS["hysteresis"], EFFECTS["input_encoder_eccentricity"]
+    size = {"bending_amplitude": 5e-5, "slipping_amplitude": 5e-5, **AGAINST}
+    fit = bench(of(loop, **size), of(encoder, **ECCENTRIC))
+    chosen = ((loop, loop.from_physical(size)[1]), (encoder, ()))
+    (*_, slow), (*_, within) = (own_part(fit, chosen, tuple({*chosen} - {one}), one) for one in chosen)
+    assert slow > 0.8
+    assert within < 0.02
+
+
+@pytest.mark.parametrize("law", [lambda load: 1.0 / (1.0 + load), lambda load: np.exp(-load / 1.5)])
+def test_a_usual_wave_that_falls_and_turns_is_no_cause(law: Any) -> None:
+    """Other flanks bear a torque of the other sign, and the wave's phase goes with them."""
+
+    def usual(signals: Signals) -> np.ndarray:
+        load = signals.torque / CONFIGURED.rated_torque
+        phase = 2.0 * signals.input_angle + 0.3 * np.tanh(load)
+        return np.asarray(5.0 * ARCSEC * law(np.abs(load) / 0.6) * np.cos(phase - 1.0))
+
+    assert searched(bench(usual, record=swinging(60.0))).named == {}
+
+
+def test_a_cause_does_not_take_the_gears_own_wave_for_its_further_order() -> None:
+    """A wave of two per turn that falls with load, larger than an eccentric encoder's own of one."""
+    encoder = EFFECTS["input_encoder_eccentricity"]
+
+    def usual(signals: Signals) -> np.ndarray:
+        load = np.abs(signals.torque / CONFIGURED.rated_torque)
+        return np.asarray(7.0 * ARCSEC / (1.0 + load) * np.cos(2.0 * signals.input_angle - 1.0))
+
+    found = searched(bench(of(encoder, **ECCENTRIC), usual, record=swinging(60.0)))
+    assert found.named.keys() == {encoder.name}
+    (cause,) = (one for one in found.whole.causes if one.effect.name == encoder.name)
+    assert cause.amplitude == pytest.approx(ECCENTRIC["amplitude"] / RATIO / np.sqrt(2.0), rel=0.1)
 
 
 def test_a_minimum_is_chosen_by_what_all_rows_will_tell() -> None:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.signal import savgol_filter
 
 from hd_diag.diagnosis.smoothing import best_width, best_widths, rate, settled, smooth
 
@@ -22,6 +23,14 @@ def test_a_quadratic_stays_as_it_is_to_its_ends():
     quadratic = 3.0 - 2.0 * TIME + 0.5 * TIME**2
     np.testing.assert_allclose(smooth(quadratic, WHOLE, STEP, 0.1), quadratic, atol=1e-9)
     np.testing.assert_allclose(rate(quadratic, WHOLE, STEP, 0.03), -2.0 + TIME, atol=1e-6)
+
+
+@pytest.mark.parametrize("window", [5, 31, 501])
+def test_a_rate_is_that_of_a_savitzky_golay_filter(window):
+    values = noisy(1.0)[:1000]
+    found = rate(values, WHOLE[:1000], STEP, (window + 0.5) * STEP)
+    expected = savgol_filter(values, window, 2, deriv=1, delta=STEP)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-8)
 
 
 @pytest.mark.parametrize("frequency", [0.1, 0.3, 1.0])

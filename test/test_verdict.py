@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 import re
 from types import SimpleNamespace
 from typing import Any
@@ -341,6 +342,27 @@ def test_causes_that_predict_nothing_are_doubted() -> None:
     assert "(5.20 against 5.00 arcsec)" in text
     for made in (diagnosis(rms=worse), diagnosis(cause("hysteresis"))):
         assert "predicted" not in sentence(Answer(made))
+
+
+def test_a_cause_that_another_explains_better_is_a_hint() -> None:
+    """Where the other one is nearly sure, its class is without the cause that was fitted."""
+    one = cause("coupling_misalignment")
+    odds = {"coulomb_windup": 0.0, "coupling_misalignment": -8.0, "": -20.0}
+    made = diagnosis(dataclasses.replace(one, standing=dataclasses.replace(one.standing, values=odds)))
+    assert made.causes == ()
+    (hint,) = made.hints
+    assert made.doubt(hint) == "coulomb windup explains it better"
+
+
+def test_what_is_left_in_one_band_says_nothing_of_the_other() -> None:
+    """A slow misfit weakens what is slow; without bands all is weakened, and beside noise alone nothing."""
+    sizes = (ARCSEC * v for v in (20.0, 9.0, 9.0, 9.0, 9.0, 9.0, 3.0, 2.9, 3.1))
+    rms = Rms(*sizes, beyond=4.0, gear=1.0)
+    assert (rms.overstated(0.0), rms.overstated(1.0)) == (1.0, 4.0)
+    assert rms.overstated(0.5) == pytest.approx(math.sqrt(0.5 * (16.0 + 1.0)))
+    assert dataclasses.replace(rms, beyond=0.5).overstated(1.0) == 1.0
+    assert dataclasses.replace(rms, beyond=math.nan, gear=math.nan).overstated(0.3) == pytest.approx(3.0)
+    assert dataclasses.replace(rms, offline=3.0 * ARCSEC).overstated(1.0) == 1.0
 
 
 def test_causes_that_undo_each_other_as_the_model_runs_are_doubted() -> None:

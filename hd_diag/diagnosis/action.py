@@ -6,11 +6,12 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Literal, NamedTuple
 
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from hd_diag.diagnosis.calibration import NAMED, NOTICED
 from hd_diag.diagnosis.judgement import Answer, Limited, is_usual
 from hd_diag.diagnosis.statements import ended, function_in_words, names_of
+from hd_diag.effects.remainders import ORDERS
 from hd_diag.formatting import percent, si, size, words
 
 Action = Literal["nothing", "watch", "inspect"]
@@ -86,6 +87,8 @@ def _reasons(answer: Answer) -> Iterator[Reason]:
         if not is_usual(hint):
             yield Reason("watch", f"{names_of(hint)}, not proven", likely if likely < NAMED else math.nan)
     for one in found.larger:
+        if one.effect in ORDERS and answer.normal is not None and answer.normal.within:
+            continue  # it is part of the error that the catalogue allows
         if 2.0 * one.largest > NOTICED * found.configured.accuracy:
             yield Reason("watch", f"{function_in_words(one)} is larger than usual")
 
@@ -120,7 +123,7 @@ def _all_within(answer: Answer) -> str:
 
 def _beyond(limited: Limited) -> float:
     """Probability that a value is beyond its limit, by its standard deviation."""
-    return float(norm.sf((limited.limit - limited.value) / limited.std)) if limited.std > 0.0 else math.nan
+    return float(ndtr((limited.value - limited.limit) / limited.std)) if limited.std > 0.0 else math.nan
 
 
 def _sure(probability: float) -> str:

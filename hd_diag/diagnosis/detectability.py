@@ -65,9 +65,10 @@ def testability(best: Set, undecided: Mapping[str, str]) -> tuple[Detectability,
 
 def _point(fit: LinearisedFit, rest: Floats, effect: Effect) -> Values | None:
     """In the middle of a grid by what a fit leaves (n,) [rad], where it has columns."""
-    points = effect.starts(fit.signals, rest).points if competes(fit, effect) else []
+    rough = fit.roughly(effect)
+    points = effect.starts(rough.signals, rest).points if competes(fit, effect) else []
     point = points[len(points) // 2] if points else None
-    return point if point is not None and fit.white(effect, point).shape[1] else None
+    return point if point is not None and rough.white(effect, point).shape[1] else None
 
 
 def _tested(best: Set, evidence: Evidence, effect: Effect, point: Values, lacking: str) -> Detectability:
@@ -77,7 +78,7 @@ def _tested(best: Set, evidence: Evidence, effect: Effect, point: Values, lackin
     what a name asks for, and their own scatter.
     """
     inner, whole = evidence.information(best.widths, f"?{effect.name}")
-    columns = best.fit.columns(effect, point)[:, : effect.size] * effect.usual
+    columns = best.fit.roughly(effect).columns(effect, point)[:, : effect.size] * effect.usual
     usual = float(np.sqrt(np.sum(np.var(columns, axis=0)) / effect.size))
     own = {name: width for name, width in best.widths.items() if name in best.names}
     share = float(np.trace(evidence.information(own, f"?{effect.name}")[0]) / max(np.trace(whole), 1e-300))

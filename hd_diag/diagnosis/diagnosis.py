@@ -117,11 +117,13 @@ class Diagnosis:
     def doubt(self, cause: Cause) -> str:
         """The first reason for which a cause is not named; empty where it is.
 
-        Where more than noise is left what else is wrong may look like it: then evidence counts less.
+        Where more than the fit's noise is left, something else may look like it: then evidence counts less.
         """
-        times = self.misfit.value if self.misfit and self.misfit.suspected else 1.0
+        times = self.rms.overstated(cause.standing.slow) if self.rms else 1.0
         if doubt := cause.standing.beside(times).doubt:
             return doubt
+        if cause.effect.name not in cause.alike:
+            return f"{words(cause.alike[0])} explains it better"
         why = next((self._nameless[name] for name in cause.alike if name in self._nameless), "")
         return why or ("" if self.predicting else _NOT_PREDICTED)
 
@@ -280,7 +282,7 @@ def _starts(begun: LinearisedFit, test: Rows) -> list[LinearisedFit]:
     record = renumbered(data.source.select(some))
     # Single rows are for causes that remember.
     rows = ~test[some] & (np.bincount(record.run) > ORDER)[record.run]
-    fit = linearise(record, data.configured, begun.parameters, rows, data.catalogue, begun.work, data.known)
+    fit = begun.in_record(record, rows)
     # Of a record in pieces hardly any stretch may be left.
     fit = (fit if fit.data.at.size >= MINIMUM_SAMPLES else begun).beside(begun.present)
     as_configured = fit_parameters.vector(data.configured, data.configured)

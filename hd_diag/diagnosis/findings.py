@@ -15,6 +15,7 @@ from hd_diag.diagnosis.regression import centered
 
 _FOLLOWS = 0.3  # of the output's travel, that it may be off at most
 _RATIO_MISS = 2e-3  # relative; more than any transmission error can make of a turn
+_UNDONE = 0.5  # of a ramp, that a wave may undo
 _RAMP_MISS = 8e-5  # relative; torsion by gravity leans by half of it over a robot's reach
 _RAMP_ERROR = 1e-4  # [rad]; what is not fitted beside a ramp may lean by this over a recording
 _LEAST_REACH = 2.5  # of a recording at the output [rad]; over less, a wave of the output bends like a ramp
@@ -125,11 +126,12 @@ def _ramp(record: Record, ratio: float) -> tuple[float, float]:
     """Mean error per output angle [-], and the least that stands out of what could be mistaken for it."""
     ideal = record.input_angle / ratio
     load = record.torque / max(float(np.max(np.abs(record.torque))), 1e-9)
+    once = _waves(ideal)
     waves = [wave for order in _INPUT_ORDERS for wave in _waves(order * record.input_angle)]
     way = record.way
     shared = (
+        *once,
         *(load, load * np.abs(load), load**3, record.speed, way, way * load, way * np.abs(load)),
-        *_waves(ideal),
         *waves,
         *(load * wave for wave in waves),
     )
@@ -146,6 +148,10 @@ def _ramp(record: Record, ratio: float) -> tuple[float, float]:
     found = inverse @ error
     weight = (inverse[:_PARTS] / scale[:_PARTS, None]).mean(axis=0)
     rest, slopes = error - scaled @ found, found[:_PARTS] / scale[:_PARTS]
+    # Of a part of a turn a wave of it is nearly a ramp: large ones that undo each other are neither.
+    ramp, wave = slopes.mean() * along, slice(_PARTS, _PARTS + len(once))
+    if np.std(ramp + scaled[:, wave] @ found[wave]) < _UNDONE * np.std(ramp):
+        return 0.0, np.inf
     left = error - waved @ (np.linalg.pinv(waved, rcond=1e-6) @ error)
     if np.linalg.norm(left) < _LESS * np.linalg.norm(rest):  # a wave twice per output turn does as well
         return 0.0, np.inf
@@ -154,8 +160,9 @@ def _ramp(record: Record, ratio: float) -> tuple[float, float]:
     # The mean at which what only the ramps explain is as large as the rest.
     hidden = float(np.linalg.norm(weight) * np.linalg.norm(rest))
     # A ramp as large as the part of the torsion that goes with the angle, as gravity's may.
-    loads = scaled[:, _PARTS : _PARTS + 3]
-    torsion = float(np.std(loads @ found[_PARTS : _PARTS + 3]))
+    torques = slice(wave.stop, wave.stop + 3)
+    loads = scaled[:, torques]
+    torsion = float(np.std(loads @ found[torques]))
     alike = float(np.var(loads @ np.linalg.lstsq(loads, along, rcond=None)[0]) / max(np.var(along), 1e-300))
     leaning = alike * torsion / max(float(np.std(along)), 1e-300)
     return float(slopes.mean()), max(_RAMP_MISS, 6.0 * spread, _PLAIN * hidden, leaning)

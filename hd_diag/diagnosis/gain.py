@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import lfilter
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.calibration import MISFIT, MORE
@@ -35,7 +34,6 @@ Rows = npt.NDArray[np.bool_]
 _HELD_OUT = 4  # every fourth run, or stretch of a single run, is held out
 _STRETCHES = 12
 _SLICE = 1.0  # length of a block of the bootstrap [s]
-_THROUGH = 0.8 * 2.0 * np.pi  # of the input's turn: its first and last rows may be left out [rad]
 _TORQUES, _RARE = 16, 0.02  # classes of torque; share of the rows that makes one known
 _KNOWN = 0.9  # of the held-out rows, whose torque is known from others
 _LEAST_FITTED, _LEAST_UNSEEN = 100, 25  # rows: a fit has some thirty columns
@@ -50,7 +48,9 @@ class Rms:
     the torque as reported, not smoothed. All but the first two contain `wandering`: how causes wander in
     amplitude and phase, which nothing foretells. The noise is `repeated` if it is from states that were
     passed again; else it is a lower bound, from differences between neighbours. `wandering_offline` is what
-    wanders of `offline`. Where a model with causes left more as it ran than the parameters alone, that is
+    wanders of `offline`. `slow` and `gear` are what is left of means over turns of the input, and within
+    these, over the noise [-]; `beyond` is the first over the fit's noise, slow noise included.
+    Where a model with causes left more as it ran than the parameters alone, that is
     `discarded`, and the first two are of the parameters alone.
     """
 
@@ -68,6 +68,7 @@ class Rms:
     wandering_offline: float = field(default=0.0, kw_only=True)
     slow: float = field(default=math.nan, kw_only=True)
     gear: float = field(default=math.nan, kw_only=True)
+    beyond: float = field(default=math.nan, kw_only=True)
     discarded: float = field(default=math.nan, kw_only=True)
 
     def running(self, other: Rms) -> Rms:
@@ -97,6 +98,16 @@ class Rms:
     def hides_lines(self) -> bool:
         """Whether more than noise is left at the gear's lines, or nobody knows."""
         return not self.gear < MISFIT
+
+    def overstated(self, slow: float) -> float:
+        """By how much deviations are too small by the fit's noise, of what is slow to such a share.
+
+        What is left in the other band says nothing of it.
+        """
+        if not self.misfit.suspected:
+            return 1.0
+        bands = (self.misfit.value if math.isnan(one) else max(one, 1.0) for one in (self.beyond, self.gear))
+        return math.sqrt(sum(share * one**2 for share, one in zip((slow, 1.0 - slow), bands, strict=True)))
 
     @property
     def without_causes(self) -> float:
@@ -258,9 +269,13 @@ def measured_gain(
     rest = renumbered(record.select(fitted & test))
     number = slices(rest.time, rest.run, _SLICE)
     offline = of_fit(_residual_of(every, found.fit, found.chosen))
-    slow, gear = _bands(offline - projection(wandering, offline), rest, found.fit.whiten, rng)
+    foreseen = offline - projection(wandering, offline)
+    slow, gear = _bands(foreseen, rest, replace(found.fit.whiten, slow=0.0), rng)
     # A line under torques that no other row has is not foretold: is it in what the fitted rows leave?
-    gear = min(gear, _bands(rows_fitted, renumbered(found.fit.data.record), found.fit.whiten, rng)[1])
+    gear = min(
+        gear,
+        _bands(rows_fitted, renumbered(found.fit.data.record), replace(found.fit.whiten, slow=0.0), rng)[1],
+    )
     rms = Rms(
         nominal=_rms(nominal),
         refit=_rms(of_fit(_residual_of(every.moved(plain.parameters), plain, beside))),
@@ -276,6 +291,7 @@ def measured_gain(
         wandering_offline=_rms(projection(wandering, offline)),
         slow=slow,
         gear=gear,
+        beyond=_bands(foreseen, rest, found.fit.whiten, rng)[0],
     )
     return rms, explained(nominal, extended, number, which, rng)
 
@@ -286,11 +302,8 @@ def _bands(left: Floats, rows: Record, noise: Whitening, rng: np.random.Generato
     The gear's lines are within a turn that is gone through; where the joint turns round, what is slow is
     within it too. The noise has the colour that was measured, along the same rows.
     """
-    turn = rows.turn
-    alike = lfilter([noise.scale], np.append(1.0, -noise.coefficients), rng.standard_normal(left.size))
-    ends = np.append(np.flatnonzero(np.diff(turn, prepend=-1)), turn.size)
-    through = np.abs(rows.input_angle[ends[1:] - 1] - rows.input_angle[ends[:-1]]) > _THROUGH
-    lines = through[turn] if through.any() else np.ones(left.size, np.bool_)
+    turn, lines = rows.turn, rows.through
+    alike = noise.drawn(left.size, rng)
 
     def parts(values: Floats) -> tuple[float, float]:
         within = centered(values, turn)

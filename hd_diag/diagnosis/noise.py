@@ -60,6 +60,14 @@ class Whitening:
             white = kernel.innovations(white, edges, self.slow, self.kept)[0]
         return np.asarray(white.reshape(columns.shape))
 
+    def drawn(self, size: int, rng: np.random.Generator) -> Floats:
+        """Noise of this kind [rad], shape (n,): what the filters leave white, through their inverses."""
+        white, taps = np.fft.rfft(rng.standard_normal(size)), np.append(1.0, -self.coefficients)
+        if self.slow:
+            part = np.fft.rfft(rng.standard_normal(size)) / np.fft.rfft([1.0, -self.kept], size)
+            white += self.slow * np.sqrt(1.0 - self.kept**2) * part
+        return np.asarray(self.scale * np.fft.irfft(white / np.fft.rfft(taps, size), size))
+
     @property
     def key(self) -> tuple[Hashable, ...]:
         """What tells it from others."""
@@ -117,18 +125,30 @@ def slices(time: Floats, run: Integers, seconds: float) -> Integers:
     return numbered(change)
 
 
-def whitening(residual: Floats, run: Integers) -> Whitening:
-    """The noise model of a residual (n,) [rad]: Yule-Walker with covariances pooled over the runs (n,)."""
-    covariance = np.zeros(ORDER + 1)
-    count = 0
+def whitening(residual: Floats, run: Integers, fitted: Floats | None = None) -> Whitening:
+    """The noise model of a residual (n,) [rad]: Yule-Walker with covariances pooled over the runs (n,).
+
+    Columns that were `fitted` (n, k), orthonormal, took their share of white noise with them: else what is
+    slow in it would seem to be more than noise.
+    """
+    covariance, taken, count = np.zeros(ORDER + 1), np.zeros(ORDER + 1), 0
     for begin, end in bounds(run):
         part = residual[begin:end]
         if part.size <= ORDER:
             continue
         part = part - part.mean()
-        covariance += [float(part[lag:] @ part[: part.size - lag]) for lag in range(ORDER + 1)]
+        covariance += _products(part)
         count += part.size
-    return whitening_of(covariance / max(count, 1))
+        if fitted is not None:
+            taken += _products(fitted[begin:end])
+    white = covariance[0] / max(count - taken[0], 1.0)
+    return whitening_of((covariance + white * taken) / max(count, 1))
+
+
+def _products(values: Floats) -> Floats:
+    """Of values (n,) or (n, k) with themselves at lags 0 to ORDER, shape (ORDER + 1,)."""
+    size = values.shape[0]
+    return np.array([float(np.vdot(values[lag:], values[: size - lag])) for lag in range(ORDER + 1)])
 
 
 def whitening_of(covariance: Floats) -> Whitening:

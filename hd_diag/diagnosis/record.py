@@ -29,6 +29,7 @@ FASTEST = 1e4
 
 _ROUNDING = 1e-12  # of the largest angle, within which it is constant
 _PAUSE = 0.2  # rest that ends a run [s]
+_THROUGH = 0.8 * 2.0 * np.pi  # of a turn of the input: its first and last rows may be left out [rad]
 _SLOW = 0.02  # of the top speed, within which friction turns [-]
 _REST_SPEED = 0.02  # of the record's 95th percentile of speed, below which the joint rests [-]
 _BITS = range(10, 25)  # of encoders
@@ -137,6 +138,14 @@ class Record:
         """Number of the input's turn, from zero, a new one where a run begins; shape (n,)."""
         turn = np.floor(self.input_angle / (2.0 * np.pi))
         return numbered((np.diff(turn) != 0) | (np.diff(self.run) != 0))
+
+    @property
+    def through(self) -> Rows:
+        """Whether a row is of a turn of the input that is gone through, shape (n,); all are where none is."""
+        turn = self.turn
+        ends = np.append(np.flatnonzero(np.diff(turn, prepend=-1)), turn.size)
+        whole = np.abs(self.input_angle[ends[1:] - 1] - self.input_angle[ends[:-1]]) > _THROUGH
+        return np.asarray(whole[turn] | ~whole.any())
 
     @property
     def by_sensor(self) -> Floats:

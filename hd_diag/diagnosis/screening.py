@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import correlate
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.drift import check_velocity
@@ -239,6 +238,8 @@ def _far_behind(record: Record, ratio: float) -> float | None:
 
     The peak of their rates' correlation over the longest recording, in step by which they have to match.
     """
+    from scipy.signal import correlate  # late: it takes a third of a second
+
     part = record.select(record.bag == np.argmax(np.bincount(record.bag)))
     grid = np.linspace(part.time[0], part.time[-1], _GRID)
     step = float(grid[1] - grid[0])

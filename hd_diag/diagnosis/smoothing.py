@@ -7,7 +7,6 @@ from functools import lru_cache, partial
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import savgol_coeffs, savgol_filter
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.blocks import filtered
@@ -115,8 +114,8 @@ def deviation(values: Floats, smoothed: Floats, step: float, width: Floats) -> F
 
 def _passed(size: int, step: float, width: float) -> float:
     """Share of the variance of white noise that is left by smoothing."""
-    kernel = _quadratic(_window(size, step, width))[0]
-    return float(np.sum(np.convolve(kernel, kernel) ** 2))
+    taps = _middle(_window(size, step, width))
+    return float(np.sum(np.convolve(taps, taps) ** 2))
 
 
 def rate(values: Floats, segment: Integers, step: float, width: float) -> Floats:
@@ -126,7 +125,7 @@ def rate(values: Floats, segment: Integers, step: float, width: float) -> Floats
         window = _window(part.size, step, width)
         if window < 3:
             return np.gradient(part, step) if part.size > 1 else np.zeros_like(part)
-        return np.asarray(savgol_filter(part, window, min(_ORDER, window - 1), deriv=1, delta=step))
+        return _filtered(part, window, 1) / step
 
     return _by_segment(values, segment, local, step, width)
 
@@ -138,26 +137,38 @@ def _twice(values: Floats, step: float, width: float) -> Floats:
     return _filtered(_filtered(values, window), window)
 
 
-def _filtered(values: Floats, window: int) -> Floats:
-    """Savitzky-Golay filter of (n,) or (n, k); at either end one quadratic of half a window's rows."""
+def _filtered(values: Floats, window: int, derivative: int = 0) -> Floats:
+    """Savitzky-Golay filter of (n,) or (n, k); at either end one quadratic of half a window's rows.
+
+    Or its derivative [1/row].
+    """
     from hd_diag.diagnosis import kernel  # late: it imports numba
 
-    (taps, ends), half, size = _quadratic(window), window // 2, values.shape[0]
+    (shape, weights), half, size = _quadratic(window, derivative), window // 2, values.shape[0]
+    taps = _middle(window, derivative)[::-1]
     before = -window % 3  # taps, and rows, of zero
     wide = np.concatenate((np.zeros((before, values[0].size)), values.reshape(size, -1)))
     result = np.empty_like(values)
     found = kernel.filtered(wide, np.append(taps, np.zeros(before)), np.array([0, size + before]))
     result[half : size - half] = found[before + window - 1 :].reshape(-1, *values.shape[1:])
-    result[:half] = ends[:half] @ (ends.T @ values[:window])
-    result[size - half :] = ends[-half:] @ (ends.T @ values[-window:])
+    result[:half] = shape[:half] @ (weights @ values[:window])
+    result[size - half :] = shape[-half:] @ (weights @ values[-window:])
     return result
 
 
 @lru_cache(maxsize=64)  # the windows to choose from, and narrower ones, of two rates
-def _quadratic(window: int) -> tuple[Floats, Floats]:
-    """Weights of the middle (window,), and a basis (window, 3) of local quadratics."""
-    basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, window), _ORDER + 1))[0]
-    return savgol_coeffs(window, _ORDER), basis
+def _quadratic(window: int, derivative: int = 0) -> tuple[Floats, Floats]:
+    """Powers in a window of rows, or their derivatives (window, 3), and what fits them (3, window)."""
+    place, half = np.arange(window) - window // 2, max(window // 2, 1)
+    powers = np.vander(place / half, _ORDER + 1)
+    slopes = np.stack((2.0 * place / half, np.ones(window), np.zeros(window)), axis=1) / half
+    return (slopes if derivative else powers), np.asarray(np.linalg.pinv(powers), np.float64)
+
+
+def _middle(window: int, derivative: int = 0) -> Floats:
+    """Weights (window,) of the rows about the middle one."""
+    shape, weights = _quadratic(window, derivative)
+    return np.asarray(shape[window // 2] @ weights)
 
 
 def _prediction_errors(values: Floats, step: float, width: float) -> Floats:
@@ -165,7 +176,7 @@ def _prediction_errors(values: Floats, step: float, width: float) -> Floats:
     window = _window(values.size, step, width)
     if window <= _ORDER + 1:
         return np.full(values.size, np.inf)
-    own = float(np.sum(_quadratic(window)[0] ** 2))  # weight of a value in its own estimate
+    own = float(np.sum(_middle(window) ** 2))  # weight of a value in its own estimate
     return np.asarray((values - _twice(values, step, width)) ** 2 / (1.0 - own) ** 2)
 
 

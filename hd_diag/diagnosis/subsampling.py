@@ -7,7 +7,6 @@ rows would lose.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -77,18 +76,13 @@ def _cells(record: Record, most: int) -> list[tuple[int, int]]:
 
 def _places(record: Record, cells: list[tuple[int, int]], length: int) -> list[int]:
     """First row of the stretch in each cell: together they shall cover what the whole record covers."""
-    starts = [
-        np.linspace(begin, max(end - length, begin), _PLACES).astype(np.int64).tolist()
-        for begin, end in cells
-    ]
-    of = _coverage(record)
-    wanted = _wanted(np.sum([of(rows) for rows, _, _ in blocks(0, record.size)], axis=0) / record.size)
-    shown = np.array(
-        [
-            [of(slice(begin, min(begin + length, end))) for begin in row]
-            for row, (_, end) in zip(starts, cells, strict=True)
-        ]
-    )
+    begins = np.array([np.linspace(begin, max(end - length, begin), _PLACES) for begin, end in cells])
+    starts = begins.astype(np.int64)
+    ends = np.minimum(starts + length, np.array(cells)[:, 1:])
+    edges = np.unique(np.concatenate((starts.ravel(), ends.ravel(), [0, record.size])))
+    before = _counts(record, edges)
+    wanted = _wanted(before[-1] / record.size)
+    shown = before[np.searchsorted(edges, ends)] - before[np.searchsorted(edges, starts)]
     total, chosen = np.zeros(wanted.size), dict[int, int]()
     while len(chosen) < len(cells):
         together = total + shown
@@ -96,7 +90,7 @@ def _places(record: Record, cells: list[tuple[int, int]], length: int) -> list[i
         off = np.sum((share - wanted) ** 2 / np.maximum(wanted, _RARE), axis=2)
         off[list(chosen)] = np.inf
         cell, place = divmod(int(np.argmin(off)), _PLACES)
-        chosen[cell] = starts[cell][place]
+        chosen[cell] = int(starts[cell, place])
         total = together[cell, place]
     return [chosen[cell] for cell in range(len(cells))]
 
@@ -107,19 +101,30 @@ def _wanted(share: Floats) -> Floats:
     return np.concatenate([0.5 * part + 0.5 * some / max(int(some.sum()), 1) for part, some in parts])
 
 
-def _coverage(record: Record) -> Callable[[slice], Floats]:
-    """Histograms of some rows: torque, speed, place in the output's turn, and torque and speed together."""
+def _counts(record: Record, edges: Integers) -> Floats:
+    """Rows before each of some edges, in order, by torque, speed, place, and torque and speed together.
+
+    Shape (e, 84). The place is that in the output's turn.
+    """
     low, span = float(record.torque.min()), max(float(np.ptp(record.torque)), 1e-9)
     fast = max(float(record.speed.max()), -float(record.speed.min()), 1e-9)
-
-    def of(rows: slice) -> Floats:
+    count = _GROUPS[-1].stop
+    found = np.zeros((edges.size + 1) * count)
+    for rows, _, _ in blocks(0, record.size):
         load, speed = (record.torque[rows] - low) / span, 0.5 + 0.5 * record.speed[rows] / fast
         place = np.mod(record.output_angle[rows] / (2.0 * np.pi), 1.0)
-        single = [np.histogram(share, _LEVELS, (0.0, 1.0))[0] for share in (load, speed, place)]
-        both = np.histogram2d(load, speed, _PAIRED, ((0.0, 1.0), (0.0, 1.0)))[0]
-        return np.concatenate((*single, both.ravel())).astype(np.float64)
+        both = _PAIRED * _level(load, _PAIRED) + _level(speed, _PAIRED)
+        part = count * np.searchsorted(edges, np.arange(rows.start, rows.stop), side="right")
+        for group, level in zip(
+            _GROUPS, (*(_level(x, _LEVELS) for x in (load, speed, place)), both), strict=True
+        ):
+            found += np.bincount(part + group.start + level, minlength=found.size)
+    return np.cumsum(found.reshape(-1, count), axis=0)[:-1]
 
-    return of
+
+def _level(share: Floats, count: int) -> Integers:
+    """Number of the level, of so many between zero and one."""
+    return np.minimum(share * count, count - 1).astype(np.int64)
 
 
 def _between(record: Record, begin: int, end: int) -> Integers:

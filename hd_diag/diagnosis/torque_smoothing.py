@@ -7,7 +7,7 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.smoothing import best_widths, judged, settled, smooth, usual_prediction_error
@@ -79,7 +79,7 @@ def _sizes(reported: Floats, angle: Floats, ratio: float, segment: Integers, ste
         if not 0 < rank < freedom:
             break
         fisher = (float(rest @ rest) - left) / rank / max(left / freedom, 1e-300)
-        if stats.f.sf(fisher, rank, freedom) > _CHANCE:
+        if special.fdtrc(rank, freedom, fisher) > _CHANCE:
             break
         known, ripple = sizes, _ripple(sizes, angle, even, ratio)
         last, window = window, best_widths(reported - ripple, segment, step)

@@ -22,6 +22,7 @@ Frame = Literal["input", "output", "housing", "time", "torque"]
 # What an effect gives at n samples, and its state after the last one.
 Stepped = tuple[Floats, Any]
 
+_OF_TEETH, _FREE = 3.0, 1e3  # times the usual size, to which errors of teeth, and all others, are drawn
 _KNOTS = 12  # of the piecewise linear amplitude and phase of an effect that wanders over a record
 
 
@@ -233,6 +234,14 @@ class Effect:
         linear = self.linear
         sizes = [linear[i - 1] if q.periodic is not None else q for i, q in enumerate(linear)]
         return np.array([q.prior_scale**q.power for q in sizes])
+
+    @property
+    def reach(self) -> Floats:
+        """Deviation of every coefficient before anything is measured, in a fit, shape (size,).
+
+        Most are as good as free: columns of hardly any row must not grow without end.
+        """
+        return self.usual * (1.0 if self.given else _OF_TEETH if self.of_teeth else _FREE)
 
     def to_physical(
         self, coefficients: Sequence[float] | Floats, nonlinear: Values

@@ -33,6 +33,11 @@ class Harmonic(Effect):
         size = np.hypot(coefficients[::2], coefficients[1::2])
         return super().sensible(coefficients, nonlinear) and bool(size[0] >= size.max())
 
+    @property
+    def reach(self) -> Floats:
+        """Usual sizes of further orders: a gear has waves of its own there; see :meth:`Effect.reach`."""
+        return np.concatenate((super().reach[:2], self.usual[2:]))
+
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Cosine and sine of every order; see :meth:`Effect.columns`."""
         angle = getattr(signals, self.angle)

@@ -25,6 +25,8 @@ _HATS = 5  # of the torque's magnitude, denser near zero, by which a line change
 # Share of a line's variance that is not the same at every torque. Waves of teeth, of even orders, halve or
 # so; one per turn comes from what displaces the wave generator, unless an encoder makes it.
 _CHANGES = {1: 1.0, 2: 0.25, 4: 0.25}
+_TURNED = 0.2  # rad, by which a torque of the other sign, that other flanks bear, turns the phase
+_ODD = 2  # laws of the torque with its sign: in proportion, and its root
 _KNOTS = 10  # of a drift
 _SLOWEST = 5.0  # between knots of a drift, at least [s]: no wave of the gear is as slow
 _SPEEDS = np.array([0.01, 0.03, 0.1, 0.3, 1.0])  # of the top speed: below, friction changes its sign
@@ -164,14 +166,17 @@ def _line(order: int) -> Shape:
     """Waves with the same part at every torque, and what changes with its magnitude.
 
     What changes is in proportion: a gear's own wave falls with the load, a coupling's or encoder's does not.
+    A little changes with the torque's sign: other flanks bear it.
     """
     apart, changes = np.abs(np.subtract.outer(np.arange(_HATS), np.arange(_HATS))), _CHANGES[order]
     smooth = np.linalg.cholesky(1.0 - changes + changes * (1.0 - changes) ** apart)
 
     def shape(signals: Signals, low: float, high: float) -> Floats:
         load = np.minimum(np.abs(signals.torque) / max(-low, high, 1e-9), 1.0)
-        law = _hats(np.sqrt(load) * (_HATS - 1), _HATS) @ smooth
-        waves = [f(order * signals.wave_generator_angle)[:, None] * law for f in (np.cos, np.sin)]
+        even = _hats(np.sqrt(load) * (_HATS - 1), _HATS) @ smooth
+        odd = _TURNED * np.sign(signals.torque)[:, None] * np.stack((load, np.sqrt(load)), axis=1)
+        law = np.concatenate((even, odd), axis=1)
+        waves = [f(order * signals.input_angle)[:, None] * law for f in (np.cos, np.sin)]
         return np.concatenate(waves, axis=1)
 
     return shape
@@ -230,9 +235,9 @@ ORDERS = tuple(
         name=f"line_{order}",
         cause=f"A wave of {order} per input turn, which changes with the torque's magnitude.",
         frame="input",
-        needs=("wave_generator_angle", "torque"),
+        needs=("output_angle", "torque"),
         source="couplings, encoders and lobes that are off as is usual",
-        quantities=_quantities(2 * _HATS, "rad", "N m"),
+        quantities=_quantities(2 * (_HATS + _ODD), "rad", "N m"),
         shape=_line(order),
     )
     for order in LINES

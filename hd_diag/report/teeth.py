@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import binned_statistic
 
 from hd_diag.arrays import Floats
 from hd_diag.drive import Drive, mesh_state
@@ -69,6 +68,8 @@ def strongest_torque(torque: Floats) -> float:
 
 def teeth_over_turn(drive: Drive, input_angle: Floats, torque: Floats) -> TeethOverTurn:
     """Teeth under the strongest of a record's torques [N m]; angles as reported [rad], shape (n,) both."""
+    from scipy.stats import binned_statistic  # late: it takes half a second
+
     frame, geometry, strong = drive.frame, drive.mesh.geometry, strongest_torque(torque)
     angle = _TURN * (np.arange(_ANGLES) + 0.5) / _ANGLES
     state = mesh_state(drive, angle, frame.cup_torque(np.full(_ANGLES, strong)))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+from scipy.special import ndtri
 
 from hd_diag.arrays import Floats
 from hd_diag.drive import Drive
@@ -40,18 +40,20 @@ _CONFIDENCE = 0.95
 _EDGE = 1e-6  # draws stay so far from 0 and 1, where a distribution has no end
 _CHUNK = 4  # assemblies per task: some tenths of a second
 
-# Distributions of size 1. Those of a magnitude begin at zero.
+# Quantiles of distributions of size 1. Those of a magnitude begin at zero.
 _MAGNITUDE: Mapping[str, Callable[[Floats], Floats]] = {
     "fixed": np.ones_like,
-    "uniform": stats.uniform(0.0, 1.0).ppf,
-    "normal": stats.halfnorm().ppf,
-    "rayleigh": stats.rayleigh().ppf,
+    "uniform": np.asarray,
+    "normal": lambda share: ndtri(0.5 + 0.5 * share),
+    "rayleigh": lambda share: np.sqrt(-2.0 * np.log1p(-share)),
 }
 _DEVIATION: Mapping[str, Callable[[Floats], Floats]] = {
     "fixed": np.ones_like,
-    "uniform": stats.uniform(-1.0, 2.0).ppf,
-    "normal": stats.norm().ppf,
-    "triangular": stats.triang(0.5, -1.0, 2.0).ppf,
+    "uniform": lambda share: 2.0 * share - 1.0,
+    "normal": ndtri,
+    "triangular": lambda share: np.where(
+        share < 0.5, np.sqrt(2.0 * share) - 1.0, 1.0 - np.sqrt(2.0 - 2.0 * share)
+    ),
 }
 _MAGNITUDES = ("eccentricity", "runout", "cup_compliance")
 
@@ -221,7 +223,9 @@ def _judged(task: tuple[Population, Floats, Floats]) -> Floats:
 
 def _share(within: npt.NDArray[np.bool_]) -> Share:
     """Of booleans (samples, t)."""
+    from scipy.stats import binomtest  # late: it takes half a second
+
     count, samples = within.sum(axis=0), within.shape[0]
-    bounds = [stats.binomtest(int(k), samples).proportion_ci(_CONFIDENCE, "wilson") for k in count]
+    bounds = [binomtest(int(k), samples).proportion_ci(_CONFIDENCE, "wilson") for k in count]
     low, high = np.array([(found.low, found.high) for found in bounds]).T
     return Share(count / samples, low, high)

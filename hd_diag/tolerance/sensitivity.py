@@ -8,14 +8,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import qmc, sobol_indices
 
 from hd_diag.arrays import Floats
 
 _INTERVAL = 100.0 * np.array([0.5 * (1.0 - 0.95), 0.5 * (1.0 + 0.95)])  # [%]
 _RESAMPLES = 200
-# scipy has renamed the argument.
-_GENERATOR = "rng" if "rng" in inspect.signature(qmc.Sobol).parameters else "seed"
 
 
 @dataclass(frozen=True)
@@ -54,7 +51,10 @@ def indices(
     Saltelli et al., "Variance based sensitivity analysis of model output", Computer Physics Communications
     181, 2010, in scipy.stats.sobol_indices; intervals are percentiles over samples drawn again.
     """
-    points = qmc.Sobol(2 * factors, **{_GENERATOR: rng}).random(samples)
+    from scipy.stats import qmc  # late: it takes half a second
+
+    generator = "rng" if "rng" in inspect.signature(qmc.Sobol).parameters else "seed"  # by version of scipy
+    points = qmc.Sobol(2 * factors, **{generator: rng}).random(samples)
     first, second = points[:, :factors], points[:, factors:]
     mixed = np.repeat(first[None], factors, axis=0)
     for k in range(factors):
@@ -72,6 +72,8 @@ def indices(
 
 def _estimate(blocks: Floats) -> Floats:
     """First and total order (2, outputs, factors) of outputs (2 + factors, outputs, samples)."""
+    from scipy.stats import sobol_indices
+
     found = sobol_indices(func={"f_A": blocks[0], "f_B": blocks[1], "f_AB": blocks[2:]}, n=blocks.shape[2])
     shape = blocks.shape[1], blocks.shape[0] - 2
     return np.stack((found.first_order.reshape(shape), found.total_order.reshape(shape)))

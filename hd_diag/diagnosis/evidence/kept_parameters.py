@@ -21,8 +21,6 @@ DISPLACEMENTS = frozenset(("eccentricity", "runout"))
 HELD = DISPLACEMENTS | {"tilt"}
 """Groups that may be held."""
 
-_NO_DOUBT = 150.0  # square of standard deviations, beyond which the tempered evidence is none of noise
-
 _BOUND_STEPS = {"eccentricity": 1, "tilt": 4}  # to where a bound is, from one unit on
 
 
@@ -102,12 +100,11 @@ def kept_parameters(free: Set) -> tuple[Set, Kept]:
     own = groups(fit.data.configured)
     undetermined = [name for name, numbers in own.items() if set(numbers) <= set(fit.data.held)]
     certain = {name: _certainty(away, spread, [name]) for name in own if name not in undetermined}
-    doubtful = [name for name in certain if name in HELD and certain[name] < _NO_DOUBT]
-    doubtful.sort(key=certain.__getitem__)
+    doubtful = sorted((name for name in certain if name in HELD), key=certain.__getitem__)
     best, held, tried = free, list[str](), [list[str]()]
     for more in (doubtful, *([name] for name in doubtful)):
         names = [*held, *(name for name in more if name not in held)]
-        if names in tried or _certainty(away, spread, names) > _NO_DOUBT:
+        if names in tried:
             continue
         tried.append(names)
         trial = _trial(free, names)
@@ -169,10 +166,10 @@ def _start(fit: LinearisedFit, names: list[str]) -> tuple[Floats, list[int]]:
 
 
 def _trial(free: Set, names: list[str]) -> Set:
-    """The set with groups held."""
+    """The set with groups held, and with the remainders that grow in their place."""
     start, held = _start(free.fit, names)
     there = replace(free.fit.moved(start), held=tuple(held)).beside(free.fit.present)
-    return replace(free, fit=there).settled()
+    return replace(free, fit=there).valued().settled()
 
 
 def _bounds(fit: LinearisedFit, chosen: Chosen, names: list[str]) -> dict[str, float]:

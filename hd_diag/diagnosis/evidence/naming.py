@@ -22,6 +22,7 @@ from hd_diag.diagnosis.evidence.sets import Set, presence
 from hd_diag.diagnosis.fit.design import solve
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.present_effects import Item
+from hd_diag.diagnosis.regression import centered
 from hd_diag.effects.effect import Effect
 from hd_diag.formatting import ARCSEC, words
 
@@ -40,6 +41,8 @@ class Standing:
         Rms of its part that parameters and other causes leave, and its deviation by noise [rad].
     foretold : bool
         Whether blocks of the record foretell it in others.
+    slow : float
+        Share of what it alone explains that is slower than a turn of the input.
     """
 
     values: Mapping[str, float]
@@ -47,6 +50,7 @@ class Standing:
     own: float
     deviation: float
     foretold: bool = True
+    slow: float = 1.0
 
     @cached_property
     def _class(self) -> tuple[tuple[str, ...], float, float]:
@@ -112,8 +116,8 @@ def _standing(found: Found, item: Item) -> Standing:
         )
     others = tuple(one for one in (*best.motor, *best.causes) if one[0].name != effect.name)
     known = frozenset(one.name for one in best.fit.data.searched)
-    own, deviation = own_size(best.fit, best.chosen, others, item)
-    return Standing(values, known, own, deviation, best.foretells(effect.name))
+    own, deviation, slow = own_part(best.fit, best.chosen, others, item)
+    return Standing(values, known, own, deviation, best.foretells(effect.name), slow)
 
 
 def _is_unproved(best: Set, name: str, odds: float, instead_of: Effect) -> bool:
@@ -145,8 +149,11 @@ def in_class(values: Mapping[str, float], known: Collection[str]) -> tuple[tuple
     return tuple(alike), held / total, weight.get("", 0.0) / total
 
 
-def own_size(fit: LinearisedFit, chosen: Chosen, others: Chosen, item: Item) -> tuple[float, float]:
-    """Rms of what parameters and other effects leave of a chosen effect's part, and its deviation [rad]."""
+def own_part(fit: LinearisedFit, chosen: Chosen, others: Chosen, item: Item) -> tuple[float, float, float]:
+    """Rms of what parameters and other effects leave of a chosen effect's part, and its deviation [rad].
+
+    With them the share of its square that is in means over turns of the input, of those gone through.
+    """
     place = fit.places(chosen)[chosen.index(item)]
     part = fit.columns(*item) @ fit.fit(chosen)[0][place]
     fixed = np.concatenate((fit.always(), fit.joined(others)), axis=1)
@@ -155,4 +162,6 @@ def own_size(fit: LinearisedFit, chosen: Chosen, others: Chosen, item: Item) -> 
     rest = part - fixed @ solve(fit.design(others).whole[0], np.concatenate(moment))
     own = float(np.std(rest))
     information = float(np.linalg.norm(fit.whiten(rest, fit.data.run)))
-    return own, own / max(information, 1e-300)
+    rows, middle = fit.data.record.through, rest - rest.mean()
+    within = float(np.var(centered(middle, fit.data.record.turn)[rows]) / max(np.var(middle[rows]), 1e-300))
+    return own, own / max(information, 1e-300), 1.0 - min(within, 1.0)

@@ -29,7 +29,6 @@ _TRIED = 4  # candidates that are settled in each turn
 _POLISHED = 2  # of these, at most
 _AGAIN = 2  # times that some are: the next best where none of the best is foretold
 _HOPEFUL = 2.0  # log odds that a candidate may lack where the fit stands: steps of the parameters bring more
-_NEAR = 0.5  # share of the best candidate's gain from which another is tried
 _OF_MODEL = ("torsional_hardening",)  # the torsion's own shape
 _ZERO, _TURNED = "torque_offset", 0.01  # share of the torques that another zero must put on the other flank
 _BY_TORQUE = ("friction", "torsion")
@@ -436,8 +435,7 @@ def _next(now: Set) -> Set | None:
     for _ in range(_AGAIN):
         if not ranked:
             break
-        best = ranked[0].gain
-        near = [one for one in ranked[:_TRIED] if one.gain > min(_NEAR * best, best - _CLOSE)]
+        near = [one for one in ranked[:_TRIED] if one.gain > ranked[0].gain - _CLOSE]
         if (found := _best_of(near, now)) is not None:
             return replace(found, before=replace(now, before=None))
         ranked = [one for one in ranked if one not in near]

@@ -10,7 +10,7 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis import calibration
 from hd_diag.diagnosis.evidence.evidence import Columns, Evidence
-from hd_diag.diagnosis.fit.design import foretold, holds, projection
+from hd_diag.diagnosis.fit.design import foretold, holds
 from hd_diag.diagnosis.fit.joint_refinement import free, polished, sensible, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.present_effects import Item
@@ -23,6 +23,7 @@ from hd_diag.effects.remainders import LOOP, ORDERS, PLACE, SPEED, TIME, TORQUE,
 Widths = Mapping[str, float]
 
 _HELD = 1e24  # precision of what does not move, in units of the parameters
+_UNDONE = 0.5  # share of a cause's part that others may undo
 _WANDERING = 0.3  # of a cause's usual size, that its size may wander by
 
 
@@ -169,9 +170,9 @@ class Set:
 
     def relearned(self) -> Set:
         """With noise learned beside it, valued anew: the evidence of other noise is not comparable."""
-        learned, before = self.learned(), self.fit.whiten
-        whiten = replace(learned.whiten, slow=before.slow, kept=before.kept)
-        return replace(self, fit=replace(learned, whiten=whiten).corrected(self.chosen)).valued()._slowed()
+        before = self.fit.whiten
+        whiten = replace(self.fit.with_noise(self.chosen).whiten, slow=before.slow, kept=before.kept)
+        return replace(self, fit=replace(self.fit, whiten=whiten).corrected(self.chosen)).valued()._slowed()
 
     def _slowed(self) -> Set:
         """With the slow noise beside which the record is most likely: steps of its size and of its memory."""
@@ -200,12 +201,6 @@ class Set:
         whiten = self.fit.whiten
         present = calibration.SLOW_NOISE if whiten.slow else 0.0
         return self.value + present - calibration.TEMPER * whiten.logarithm(self.fit.data.run)
-
-    def learned(self) -> LinearisedFit:
-        """The fit with the noise of what it leaves beyond all that any cause may look like."""
-        fit, rest = self.fit, self.fit.remainder(self.chosen)
-        wide = np.concatenate((fit.always(), fit.flexible()), axis=1)
-        return replace(fit, whiten=fit.data.whitening_of(rest - projection(wide, rest)))
 
     def beside(self, item: Item, widths: Widths) -> Set:
         """With one cause more, at the size that fits with some widths; not settled."""
@@ -245,8 +240,16 @@ class Set:
 
     @property
     def sensible(self) -> bool:
-        """Whether every cause is itself at its size."""
-        return all(sensible(self.fit, self.chosen))
+        """Whether every cause is itself at its size, and no others undo most of it.
+
+        Causes that are there are of any sign. Two large ones that undo each other are the shape of a third.
+        """
+        if not all(sensible(self.fit, self.chosen)):
+            return False
+        sized = self.fit.sized(self.chosen, self.fit.fit(self.chosen)[0])[len(self.given) :]
+        parts = [self.fit.columns(*item) @ own for item, own in sized]
+        parts = [part - part.mean() for part in parts]
+        return not any(part @ (sum(parts) - part) < -_UNDONE * (part @ part) for part in parts)
 
 
 def presence(fit: LinearisedFit, effect: Effect) -> float:
@@ -262,7 +265,8 @@ def _group(fit: LinearisedFit, name: str, item: Item) -> Columns:
     white = fit.white(*item)
     if effect.standard:
         larger = calibration.LARGER_LINE if effect in ORDERS else calibration.LARGER
-        return name, white, np.ones(white.shape[1]), calibration.LARGER_BY, larger
+        widths = calibration.LOOP_BY if effect is LOOP else calibration.LARGER_BY
+        return name, white, np.ones(white.shape[1]), widths, larger
     usual = np.full(white.shape[1], _WANDERING * float(effect.usual[0]))
     usual[: effect.size] = effect.usual[: white.shape[1]]
     return name, white, usual, calibration.SIZES, 0.0

@@ -8,13 +8,14 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from scipy import special, stats
+from scipy import special
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.calibration import CERTAIN_SIZE, DISAGREEING
 
 _DRAWS = 2000  # of a bootstrap
 _ALONE = 1e-10  # share of a column outside a block that is nothing but rounding
+_ALIKE = 1e-10  # least eigenvalue of a Gram matrix over its greatest: columns that rounding makes differ
 _TOLD_APART = 1e-6  # of the inverse times the matrix from one
 
 
@@ -166,7 +167,7 @@ def inverse(gram: Floats) -> Floats:
     # Rounding must not blow up a column of zeros: divided by infinity it stays out of the way.
     scale = np.where(square > 0.0, np.sqrt(np.maximum(square, 1e-300)), np.inf)
     values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
-    kept = values > 1e-10 * values.max(initial=0.0)
+    kept = values > _ALIKE * values.max(initial=0.0)
     return np.asarray((vectors[:, kept] / values[kept]) @ vectors[:, kept].T / np.outer(scale, scale))
 
 
@@ -206,9 +207,17 @@ def design(
 
 
 def orthonormal(columns: Floats) -> Floats:
-    """Basis of columns of any scale, shape (n, k); columns of zeros have none."""
-    norm = np.linalg.norm(columns, axis=0)
-    return np.linalg.qr(columns[:, norm > 0.0] / norm[norm > 0.0])[0]
+    """Basis of columns (n, k) of any scale, shape (n, m); those that are alike, or zero, have fewer.
+
+    By their Gram matrix, ten times as fast as by reflections; a second round takes out what rounding leaves.
+    """
+    for _ in range(2):
+        norm = np.linalg.norm(columns, axis=0)
+        columns = columns[:, norm > 0.0] / norm[norm > 0.0]
+        values, vectors = np.linalg.eigh(columns.T @ columns)
+        kept = values > _ALIKE * values.max(initial=0.0)
+        columns = columns @ (vectors[:, kept] / np.sqrt(values[kept]))
+    return columns
 
 
 def projection(columns: Floats, target: Floats) -> Floats:
@@ -242,7 +251,7 @@ def lower_bound(gains: Floats) -> float:
     if gains.size < 2:
         return -np.inf
     spread = float(np.std(gains, ddof=1)) / np.sqrt(gains.size)
-    return float(np.mean(gains) - stats.t.ppf(0.99, gains.size - 1) * spread)
+    return float(np.mean(gains) - special.stdtrit(gains.size - 1, 0.99) * spread)
 
 
 def holds(gain: Floats, predicted: Floats, variance: Floats) -> bool:
@@ -268,12 +277,12 @@ def holds(gain: Floats, predicted: Floats, variance: Floats) -> bool:
     share = 0.5 * (1.0 + foretold(gain, predicted, variance) / whole)
     away = (0.5 * (gain + predicted) - share * predicted) / np.sqrt(np.maximum(variance, 1e-300))
     agreeing = float(told[gain < 0.0].sum()) <= DISAGREEING * whole
-    as_noise = agreeing or float(away @ away) <= float(stats.chi2.ppf(0.99, few))
+    as_noise = agreeing or float(away @ away) <= float(special.chdtri(few, 0.01))
     if as_noise and _is_between(share, CERTAIN_SIZE * whole**-0.5):
         return True
     freedom = whole**2 / float(told @ told) - 1.0
     scatter = max(float(told @ away**2) ** 0.5 / whole, whole**-0.5)
-    return freedom >= 1.0 and _is_between(share, float(stats.t.ppf(0.99, freedom)) * scatter)
+    return freedom >= 1.0 and _is_between(share, float(special.stdtrit(freedom, 0.99)) * scatter)
 
 
 def foretold(gain: Floats, predicted: Floats, variance: Floats) -> float:

@@ -59,12 +59,18 @@ class FittedRows:
         Causes to search among.
     known : PassNoise, optional
         Noise as more rows of the record showed it.
+
+    Attributes
+    ----------
+    counts : dict
+        Numbers of columns of effects, by name and nonlinear values.
     """
 
     model: RecordModel
     mask: npt.NDArray[np.bool_]
     catalogue: Catalogue
     known: PassNoise | None = None
+    counts: dict[tuple[str, Values], int] = field(default_factory=dict, init=False)
     _signals: dict[bytes, Signals] = field(default_factory=dict, init=False)
     _testable: dict[str, tuple[bool, str]] = field(default_factory=dict, init=False)
     _grids: dict[str, Starts] = field(default_factory=dict, init=False)
@@ -160,11 +166,11 @@ class FittedRows:
         """Noise of a residual of the fitted rows [rad], shape (n,), whatever misfit is in it."""
         return measured_noise(residual, self.record.time, self.run, self.revisits, self.counted)
 
-    def whitening_of(self, residual: Floats) -> Whitening:
-        """Noise model from a residual of the fitted rows, which may be more than noise."""
+    def whitening_of(self, residual: Floats, fitted: Floats) -> Whitening:
+        """Noise model from what orthonormal columns leave at the fitted rows: it may be more than noise."""
         known = self.passes(residual)
         if known is None or float(np.std(residual)) < _MISFIT * known.rms:
-            return whitening(residual, self.run)
+            return whitening(residual, self.run, fitted)
         return whitening_of(known.covariance)
 
     def passes(self, residual: Floats) -> PassNoise | None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+from scipy import special
 from scipy.optimize import lsq_linear
 
 from hd_diag.arrays import Floats
@@ -173,7 +173,7 @@ def _wider(fit: LinearisedFit, beta: Floats, spread: Floats, built: Design) -> F
         np.sum(parts**2, axis=0) * len(parts) / max(len(parts) - 1, 1) for parts in (scatter, together)
     ]
     if len(scatter) > 1:
-        variances[0] *= (stats.t.ppf(_SIDE, len(scatter) - 1) / stats.norm.ppf(_SIDE)) ** 2
+        variances[0] *= (special.stdtrit(len(scatter) - 1, _SIDE) / special.ndtri(_SIDE)) ** 2
     variance = np.maximum(*variances) if bags.size > 1 else variances[0]
     least = fit.misfit**2
     return np.asarray(np.sqrt(np.maximum(variance / np.maximum(np.diag(spread), 1e-300), least)))

@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.fit import fit_parameters
-from hd_diag.diagnosis.fit.design import Design, design, inverse, projection
-from hd_diag.diagnosis.fit.fitted_rows import FittedRows, PassNoise
+from hd_diag.diagnosis.fit.design import Design, design, inverse, orthonormal
+from hd_diag.diagnosis.fit.fitted_rows import FittedRows
 from hd_diag.diagnosis.fit.mesh_torques import mesh_torques
 from hd_diag.diagnosis.fit.present_effects import Item, PresentEffects, Sized, names, plain
 from hd_diag.diagnosis.fit.record_model import RecordModel
@@ -28,8 +28,6 @@ from hd_diag.effects.mesh_torque import MeshTorque
 from hd_diag.effects.scaling import of_drive
 from hd_diag.effects.signals import Signals
 
-_TEETH = 3.0  # times the usual size, to which errors of the teeth are drawn
-_UNHEARD_OF = 1e3  # the same of all others: columns of hardly any row must not grow without end
 _HELD = 1e12  # precision of what is held, in units of `fit_parameters.units`
 _WIDENINGS, _AS_WIDE = 4, 1.1  # of slopes, at most; growth of a deviation that nobody would notice
 _WHITE = Whitening(np.zeros(ORDER), 1.0)
@@ -109,6 +107,12 @@ class LinearisedFit:
         data = self.data.on(self.data.mask & usable(self.data.source, shift))
         return self if data is self.data else replace(self, data=data, present=self._motor)
 
+    def in_record(self, record: Record, rows: npt.NDArray[np.bool_]) -> LinearisedFit:
+        """On rows (n,) of another record of the same joint, whose noise is known; beside nothing."""
+        model = RecordModel(record, self.data.configured, self.work)
+        data = FittedRows(model, usable(record) & rows, self.data.catalogue, self.data.known)
+        return LinearisedFit(data, self.parameters)
+
     def on(self, rows: npt.NDArray[np.bool_]) -> LinearisedFit:
         """On other rows (n,) of the record, their noise not known yet; as :meth:`moved`."""
         return replace(self, data=self.data.on(rows), whiten=_WHITE, misfit=1.0, present=self._motor)
@@ -120,20 +124,23 @@ class LinearisedFit:
 
     def with_noise(self, chosen: Chosen, richer: bool = True) -> LinearisedFit:
         """Whitened by the residual of a model rich enough to leave only noise, or by all that this leaves."""
-        rest, misfit = self._beyond(chosen, *([self.flexible()] if richer else [])), 1.0
+        (rest, fitted), misfit = self._beyond(chosen, *([self.flexible()] if richer else [])), 1.0
         if richer and self.data.given:
-            misfit = float(np.std(self._beyond(chosen)) / max(float(np.std(rest)), 1e-300))
-        return replace(self, whiten=self.data.whitening_of(rest), misfit=misfit)
+            misfit = float(np.std(self._beyond(chosen)[0]) / max(float(np.std(rest)), 1e-300))
+        return replace(self, whiten=self.data.whitening_of(rest, fitted), misfit=misfit)
 
     def passed(self) -> LinearisedFit:
         """With noise as passes of its rows measure it, known to all fits of them."""
-        known = self.data.passes(self._beyond((), self.flexible()))
+        known = self.data.passes(self._beyond((), self.flexible())[0])
         return replace(self, data=replace(self.data, known=known))
 
-    def _beyond(self, chosen: Chosen, *more: Floats) -> Floats:
-        """The residual (n,) [rad] beyond what every fit carries, some effects and more columns (n, k)."""
-        wide = np.concatenate((self.always(), self.joined(chosen), *more), axis=1)
-        return np.asarray(self.residual - projection(wide, self.residual))
+    def _beyond(self, chosen: Chosen, *more: Floats) -> tuple[Floats, Floats]:
+        """The residual (n,) [rad] beyond what every fit carries, some effects and more columns (n, k).
+
+        With it these columns, orthonormal.
+        """
+        wide = orthonormal(np.concatenate((self.always(), self.joined(chosen), *more), axis=1))
+        return np.asarray(self.residual - wide @ (wide.T @ self.residual)), wide
 
     def flexible(self) -> Floats:
         """Columns by which any cause leaves hardly more than noise, (n, k)."""
@@ -262,8 +269,15 @@ class LinearisedFit:
 
     def places(self, chosen: Chosen) -> list[slice]:
         """Where the coefficients of every chosen effect stand in a fit."""
-        edges = np.cumsum([self.always_white.shape[1], *(self.columns(*item).shape[1] for item in chosen)])
+        edges = np.cumsum([self.always_white.shape[1], *map(self._count, chosen)])
         return [slice(first, last) for first, last in pairwise(edges.tolist())]
+
+    def _count(self, item: Item) -> int:
+        """Columns of an effect: the rows decide, not the parameters."""
+        known, key = self.data.counts, (item[0].name, item[1])
+        if key not in known:
+            known[key] = self.columns(*item).shape[1]
+        return known[key]
 
     def remainder(self, chosen: Chosen) -> Floats:
         """Residual of a fit with some effects, shape (n,) [rad]."""
@@ -359,7 +373,7 @@ class LinearisedFit:
     def prior(self, chosen: Chosen) -> tuple[Floats, Floats]:
         """Precision of the coefficients of [model, offset, effects], and where they are drawn to; (k,) each.
 
-        The model's are drawn to the prior of a drive, errors of teeth to small ones, all others hardly.
+        The model's are drawn to the prior of a drive, those of effects by their `reach`.
         """
         places = self.places(chosen)
         center, width = fit_parameters.prior(self.data.configured)
@@ -371,9 +385,7 @@ class LinearisedFit:
             if effect.standard:
                 precision[place] = 1.0 / self.misfit**2  # not more where a motor's current leaves a misfit
                 continue
-            times = 1.0 if effect.given else _TEETH if effect.of_teeth else _UNHEARD_OF
-            usual = effect.usual
-            precision[place.start : place.start + usual.size] = (usual * times) ** -2.0
+            precision[place.start : place.start + effect.size] = effect.reach**-2.0
         return precision * self.misfit**2, pull
 
 
@@ -384,16 +396,15 @@ def linearise(
     rows: npt.NDArray[np.bool_] | None = None,
     catalogue: Catalogue = CATALOGUE,
     work: Work | None = None,
-    known: PassNoise | None = None,
 ) -> LinearisedFit:
     """A record linearised about a drive, its noise not known yet; see :class:`FittedRows`.
 
     Of parameters (p,) in units of `fit_parameters.units`, on some rows (n,) where the error is well defined,
-    on all of these without; a part of some work, or of work that may take as long as it does. Noise may be
-    `known` from other rows.
+    on all of these without; a part of some work, or of work that may take as long as it does. What is usual
+    of the catalogue is scaled to the drive.
     """
     found = usable(record)
     mask = found if rows is None else found & rows
     model = RecordModel(record, configured, work or Work())
-    rows_of = FittedRows(model, mask, of_drive(catalogue, configured), known)
+    rows_of = FittedRows(model, mask, of_drive(catalogue, configured))
     return LinearisedFit(rows_of, parameters)

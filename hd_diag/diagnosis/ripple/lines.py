@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from hd_diag.arrays import Complexes, Floats, Integers
 from hd_diag.diagnosis.ripple.windows import TURN, TURNS, Windows
@@ -122,7 +123,8 @@ def _found(waves: _Waves, columns: list[_Column], column: _Column, threshold: fl
         [_mean(one, column) for one in rest.parts(number)] for number in (waves.at.record, waves.at.run)
     )
     std = max(float(found.stds[at]), _scatter(parts))
-    limit = float(np.sqrt(2.0 * stats.f.isf(threshold, 2, found.freedom)))
+    # F of two degrees of freedom, in closed form.
+    limit = math.sqrt(found.freedom * (threshold ** (-2.0 / found.freedom) - 1.0))
     return (
         abs(value),
         std,
@@ -173,7 +175,7 @@ def _same(parts: Sequence[tuple[complex, float]]) -> bool | None:
     values, spread = np.array([one for one, _ in parts]), np.array([max(std, _NO_NOISE) for _, std in parts])
     mean = np.average(values, weights=spread**-2.0)
     squares = float(np.sum(np.abs((values - mean) / spread) ** 2))
-    alike = stats.chi2.sf(squares, 2 * (len(parts) - 1)) > _OTHER
+    alike = special.chdtrc(2 * (len(parts) - 1), squares) > _OTHER
     return bool(alike or _agreement(list(values)) > _STEADY)
 
 
@@ -273,7 +275,7 @@ def _estimate(waves: _Waves, columns: Sequence[_Column]) -> _Estimate:
         scale = names.size / (names.size - count)
         tests.append((0.5 * scale * np.sum(np.abs(pulls) ** 2, axis=1), 2 * (names.size - count)))
     power = 0.5 * np.abs(values) ** 2
-    chances = [stats.f.sf(power / np.maximum(variance, 1e-300), 2, free) for variance, free in tests]
+    chances = [special.fdtrc(2, free, power / np.maximum(variance, 1e-300)) for variance, free in tests]
     stds = np.sqrt(np.max([variance for variance, _ in tests], axis=0))
     return _Estimate(values, stds, np.max(chances, axis=0), min(free for _, free in tests), deviance)
 
