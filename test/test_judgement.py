@@ -157,6 +157,15 @@ def test_what_is_left_at_the_lines_may_be_in_a_displacement(gear: float, share: 
     assert not found[4:].any()
 
 
+def test_a_runout_that_does_nothing_is_no_less_certain_for_what_is_left() -> None:
+    """Beside no eccentricity."""
+    made = diagnosis()
+    parameters = fit_parameters.vector(made.configured, made.configured)
+    parameters[2] += 1e-9
+    rms = dataclasses.replace(NEAR, gear=2.0)
+    assert not imitated(rms, made.record, made.configured, parameters).any()
+
+
 def test_a_cause_that_foretells_no_more_than_the_configured_drive_is_a_hint() -> None:
     """Parameters may have followed noise: beside these alone it seems to help."""
     made = diagnosis(cause("hysteresis"))

@@ -310,7 +310,8 @@ def imitated(rms: Rms, record: Record, configured: Drive, parameters: Floats) ->
     away = parameters - fit_parameters.vector(configured, configured)
     for name in sizes.keys() & HELD:
         numbers = numbers_of([name])
-        found[numbers] = np.linalg.norm(away[numbers]) * left / max(sizes[name], 1e-300)
+        if sizes[name] > 0.0:  # a runout does nothing beside no eccentricity
+            found[numbers] = np.linalg.norm(away[numbers]) * left / sizes[name]
     return found
 
 
