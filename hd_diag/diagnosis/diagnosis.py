@@ -38,6 +38,7 @@ from hd_diag.effects.effect import Stage
 from hd_diag.extended_model import ExtendedModel
 from hd_diag.formatting import words
 
+_ROUNDING = 1e-12  # of an error [rad]
 _SIZED_ROWS = 2000  # by which the size of what parameters do is taken
 _SEARCHED_ROWS = 6_000  # that a search gets: more cost time, and show what is larger than noise no better
 _TESTED = 0.9  # of the time that a diagnosis may take, by which what could have been shown is tested
@@ -310,7 +311,7 @@ def imitated(rms: Rms, record: Record, configured: Drive, parameters: Floats) ->
     away = parameters - fit_parameters.vector(configured, configured)
     for name in sizes.keys() & HELD:
         numbers = numbers_of([name])
-        if sizes[name] > 0.0:  # a runout does nothing beside no eccentricity
+        if sizes[name] > _ROUNDING:  # a runout does nothing beside no eccentricity
             found[numbers] = np.linalg.norm(away[numbers]) * left / sizes[name]
     return found
 
