@@ -95,6 +95,9 @@ here on what is left may be a part of a displacement."""
 ANOTHER = 3.0
 """Standard deviations from its configured value from which a parameter is another: a convention."""
 
+UNDONE = 0.5
+"""Share of what a cause does that others may undo: chosen. Two that undo each other further are neither."""
+
 NOTICED = 0.25
 """Share of the accuracy, peak to peak, from which a remainder that is larger than usual asks to be watched: a
 convention."""

@@ -9,13 +9,13 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.blocks import blocks
+from hd_diag.diagnosis.calibration import UNDONE
 from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.record import Record, encoder_bits
 from hd_diag.diagnosis.regression import centered
 
 _FOLLOWS = 0.3  # of the output's travel, that it may be off at most
 _RATIO_MISS = 2e-3  # relative; more than any transmission error can make of a turn
-_UNDONE = 0.5  # of a ramp, that a wave may undo
 _RAMP_MISS = 8e-5  # relative; torsion by gravity leans by half of it over a robot's reach
 _RAMP_ERROR = 1e-4  # [rad]; what is not fitted beside a ramp may lean by this over a recording
 _LEAST_REACH = 2.5  # of a recording at the output [rad]; over less, a wave of the output bends like a ramp
@@ -150,7 +150,7 @@ def _ramp(record: Record, ratio: float) -> tuple[float, float]:
     rest, slopes = error - scaled @ found, found[:_PARTS] / scale[:_PARTS]
     # Of a part of a turn a wave of it is nearly a ramp: large ones that undo each other are neither.
     ramp, wave = slopes.mean() * along, slice(_PARTS, _PARTS + len(once))
-    if np.std(ramp + scaled[:, wave] @ found[wave]) < _UNDONE * np.std(ramp):
+    if np.std(ramp + scaled[:, wave] @ found[wave]) < UNDONE * np.std(ramp):
         return 0.0, np.inf
     left = error - waved @ (np.linalg.pinv(waved, rcond=1e-6) @ error)
     if np.linalg.norm(left) < _LESS * np.linalg.norm(rest):  # a wave twice per output turn does as well

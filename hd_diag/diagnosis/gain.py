@@ -269,13 +269,11 @@ def measured_gain(
     rest = renumbered(record.select(fitted & test))
     number = slices(rest.time, rest.run, _SLICE)
     offline = of_fit(_residual_of(every, found.fit, found.chosen))
-    foreseen = offline - projection(wandering, offline)
-    slow, gear = _bands(foreseen, rest, replace(found.fit.whiten, slow=0.0), rng)
+    foreseen, whiten = offline - projection(wandering, offline), found.fit.whiten
+    encoders = replace(whiten, slow=0.0)
+    slow, gear = _bands(foreseen, rest, encoders, rng)
     # A line under torques that no other row has is not foretold: is it in what the fitted rows leave?
-    gear = min(
-        gear,
-        _bands(rows_fitted, renumbered(found.fit.data.record), replace(found.fit.whiten, slow=0.0), rng)[1],
-    )
+    gear = min(gear, _bands(rows_fitted, renumbered(found.fit.data.record), encoders, rng)[1])
     rms = Rms(
         nominal=_rms(nominal),
         refit=_rms(of_fit(_residual_of(every.moved(plain.parameters), plain, beside))),
@@ -291,7 +289,7 @@ def measured_gain(
         wandering_offline=_rms(projection(wandering, offline)),
         slow=slow,
         gear=gear,
-        beyond=_bands(foreseen, rest, found.fit.whiten, rng)[0],
+        beyond=_bands(foreseen, rest, whiten, rng)[0],
     )
     return rms, explained(nominal, extended, number, which, rng)
 

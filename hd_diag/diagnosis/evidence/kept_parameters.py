@@ -99,7 +99,7 @@ def kept_parameters(free: Set) -> tuple[Set, Kept]:
     away, spread = _away(fit, chosen)
     own = groups(fit.data.configured)
     undetermined = [name for name, numbers in own.items() if set(numbers) <= set(fit.data.held)]
-    certain = {name: _certainty(away, spread, [name]) for name in own if name not in undetermined}
+    certain = {name: _certainty(away, spread, name) for name in own if name not in undetermined}
     doubtful = sorted((name for name in certain if name in HELD), key=certain.__getitem__)
     best, held, tried = free, list[str](), [list[str]()]
     for more in (doubtful, *([name] for name in doubtful)):
@@ -149,9 +149,9 @@ def _half_widths(spread: Floats) -> Floats:
     return np.asarray(TWO_SIDED * np.sqrt(np.diag(spread)))
 
 
-def _certainty(away: Floats, spread: Floats, names: list[str]) -> float:
-    """Square of standard deviations, by which groups are away together."""
-    numbers = numbers_of(names)
+def _certainty(away: Floats, spread: Floats, name: str) -> float:
+    """Square of standard deviations, by which a group is away."""
+    numbers = list(GROUPS[name])
     return float(away[numbers] @ np.linalg.solve(spread[np.ix_(numbers, numbers)], away[numbers]))
 
 

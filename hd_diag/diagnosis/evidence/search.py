@@ -444,9 +444,9 @@ def _next(now: Set) -> Set | None:
 
 def _best_of(near: Sequence[Candidate], now: Set) -> Set | None:
     """The best set with one of some candidates more; None where none is better than without."""
-    begun = [(one.name, now.beside(one.item, one.widths)) for one in near]
+    there = [(one.name, now.beside(one.item, one.widths)) for one in near]
     # What blocks do not foretell where the fit stands they hardly do a step away.
-    settled = [(name, one.settled()) for name, one in begun if one.foretells(name)]
+    settled = [(name, one.settled()) for name, one in there if one.foretells(name)]
     trials = [(name, one) for name, one in settled if one.sensible and one.foretells(name)]
     trials.sort(key=lambda pair: -pair[1].value)
     best = max([now.value, *(one.value for _, one in trials)])

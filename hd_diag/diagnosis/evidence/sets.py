@@ -23,7 +23,6 @@ from hd_diag.effects.remainders import LOOP, ORDERS, PLACE, SPEED, TIME, TORQUE,
 Widths = Mapping[str, float]
 
 _HELD = 1e24  # precision of what does not move, in units of the parameters
-_UNDONE = 0.5  # share of a cause's part that others may undo
 _WANDERING = 0.3  # of a cause's usual size, that its size may wander by
 
 
@@ -249,7 +248,7 @@ class Set:
         sized = self.fit.sized(self.chosen, self.fit.fit(self.chosen)[0])[len(self.given) :]
         parts = [self.fit.columns(*item) @ own for item, own in sized]
         parts = [part - part.mean() for part in parts]
-        return not any(part @ (sum(parts) - part) < -_UNDONE * (part @ part) for part in parts)
+        return not any(part @ (sum(parts) - part) < -calibration.UNDONE * (part @ part) for part in parts)
 
 
 def presence(fit: LinearisedFit, effect: Effect) -> float:
