@@ -24,7 +24,6 @@ from rclpy.impl.logging_severity import LoggingSeverity
 from rclpy.logging import get_logger, set_logger_level
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from rclpy.task import Future
 from rclpy.utilities import ok, try_shutdown
 
 from hd_diag.bag import RELIABLE
@@ -113,7 +112,6 @@ class DiagnosticNode(Node):
         self._seen = Publishers(self, self._inputs)
         self._withheld = Withheld(self, self._inputs)
         self._told_lost, self._busy, self._worked, self._paced = 0, 0.0, 0.0, 0.0
-        self._never = Future()
         self._turned, self._stood_still = math.inf, 0.0  # begin of the last turn, longest time of one [s]
         for joint in config.joints:
             if joint.signals.temperature is None:
@@ -161,8 +159,7 @@ class DiagnosticNode(Node):
             if not self._waiting and not self._is_simulated:
                 until = min(self._worked + _GATHER, self._next_report)
                 time.sleep(max(0.0, until - time.monotonic()))
-            # All at once costs half of one by one; what waits in DDS may be dropped there, silently.
-            executor.spin_until_future_complete(self._never, timeout_sec=0.0)
+            take_all(executor)  # what waits in DDS may be dropped there, silently
             if not self._waiting:
                 executor.spin_once(timeout_sec=max(0.0, self._next_look - time.monotonic()))
         except ExternalShutdownException:
@@ -310,6 +307,17 @@ class DiagnosticNode(Node):
         joints = {joint.name: joint for joint in config.joints}
         self._build_maps([joints[name] for name in self._session.configure(self._now(), config)])
         self._next_report = min(self._next_report, time.monotonic() + 1.0 / config.diagnostics_rate)
+
+
+def take_all(executor: Any) -> None:
+    """Have an executor do all that is there to be done, one by one.
+
+    In one call, ``spin_until_future_complete`` with no time, it costs a third less; but with pybind11 3 32
+    bytes of each such call stay for ever: at 1 kHz 7 MB an hour.
+    """
+    last = executor.create_task(int)  # its turn comes after theirs
+    while not last.done() and ok():
+        executor.spin_once(timeout_sec=0.0)
 
 
 def main(

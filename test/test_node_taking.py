@@ -1,0 +1,53 @@
+"""How the node takes what has come, from rclpy's executor."""
+
+import gc
+import sys
+import time
+from typing import Any
+
+import pytest
+import rclpy
+from live import START, message
+from rclpy.duration import Duration
+from rclpy.experimental.events_executor import EventsExecutor
+from sensor_msgs.msg import JointState
+
+from hd_diag.ros.node import take_all
+from hd_diag.ros.subscriptions import INPUT_DEPTH
+
+pytestmark = pytest.mark.usefixtures("ros")
+TURNS = 5000  # of the node: at 1 kHz 80 s, with simulated time 5 s
+
+
+def blocks() -> int:
+    """What Python's objects take, without those that are garbage."""
+    gc.collect()
+    return sys.getallocatedblocks()
+
+
+def test_all_that_is_there_is_taken_and_nothing_stays_of_it() -> None:
+    """What stays of every turn is memory that grows for as long as the node runs."""
+    node, other, taken = rclpy.create_node("taking"), rclpy.create_node("giving"), list[Any]()
+    executor = EventsExecutor()
+    executor.add_node(node)
+    node.create_subscription(JointState, "taking/states", taken.append, INPUT_DEPTH, raw=True)
+    publisher = other.create_publisher(JointState, "taking/states", INPUT_DEPTH)
+    sent = [message(START + number, {"elbow": 0.1}) for number in range(100)]
+    end = time.monotonic() + 60.0
+    while not taken:  # both must know of one another
+        publisher.publish(message(0, {"elbow": 0.1}))
+        time.sleep(0.1)
+        take_all(executor)
+        assert time.monotonic() < end
+    for row in sent:
+        publisher.publish(row)
+    assert publisher.wait_for_all_acked(Duration(seconds=60.0))
+    time.sleep(0.1)  # until the executor is told of the last
+    take_all(executor)
+    assert taken[-len(sent) :] == sent
+    for _ in range(2):  # the first turns also bring what is kept for those that follow
+        before = blocks()
+        for _ in range(TURNS):
+            take_all(executor)
+    assert blocks() - before < TURNS // 10
+    executor.shutdown()
