@@ -59,7 +59,7 @@ def test_a_cause_is_named_with_its_size_and_no_other(name: str, seed: int | None
 
 def test_a_drift_of_every_recording_is_fitted_to_all_of_them() -> None:
     """It is no cause, as slow as noise may be, and changes no parameter; no model that runs has it."""
-    parts, rng = [columns(12.0, seed=seed) for seed in range(4)], np.random.default_rng(3)
+    parts, rng = [columns(12.0, 100.0, seed) for seed in range(4)], np.random.default_rng(3)
     for number, part in enumerate(parts):
         bends = 4.0 * ARCSEC * rng.standard_normal(7)
         part["output"] += np.interp(part["time"], np.linspace(0.0, 12.0, 7), bends)

@@ -53,7 +53,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
 def player(rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Player:
     bag = tmp_path_factory.mktemp("simulated") / "joint.mcap"
     assert (
-        hd_diag("simulate", "--out", bag, "--duration", 10, "--rate", 250, "--eccentricity-um", 18).exit_code
+        hd_diag("simulate", "--out", bag, "--duration", 6, "--rate", 250, "--eccentricity-um", 18).exit_code
         == 0
     )
     return Player(rig, bag)

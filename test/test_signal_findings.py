@@ -137,10 +137,8 @@ def test_a_torque_that_hardly_changes_is_in_no_other_unit() -> None:
     assert not screened(generated(families.made("faultless", 1_000_000_557)), CONFIGURED).findings
 
 
-@pytest.mark.parametrize(
-    ("family", "seed"),
-    [pytest.param("robot_pair", 125, marks=pytest.mark.slow), ("robot_single", 1_000_000_836)],
-)
+@pytest.mark.slow  # 9 s each, most of it for two minutes of a robot
+@pytest.mark.parametrize(("family", "seed"), [("robot_pair", 125), ("robot_single", 1_000_000_836)])
 def test_gravity_that_goes_with_the_place_has_no_other_sign(family: str, seed: int) -> None:
     """Beside waves of the output's turn the torsion comes out as -1.2 and -2.6 times the configured one."""
     assert not screened(generated(families.made(family, seed)), CONFIGURED).findings
@@ -250,10 +248,8 @@ def test_a_torque_of_another_joint_is_left_out() -> None:
         assert same is kept
 
 
-SEEDS = pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
-
-
-@SEEDS
+@pytest.mark.slow  # 7 s
+@pytest.mark.parametrize("seed", range(3))
 def test_friction_that_misleads_one_fit_is_no_wrong_torque(seed: int) -> None:
     """Of 3.5 N m, which no parameter knows: held-out runs are foretold worse with torque, all others not."""
     record = screened(generated(families.made("robot_pair", 1_000_000_834)), CONFIGURED).record
@@ -274,6 +270,7 @@ def test_an_input_encoder_far_off_its_centre_is_no_wrong_torque() -> None:
         assert finding is None
 
 
+@pytest.mark.slow  # 7 s
 def test_a_wrong_zero_of_the_torque_is_no_wrong_torque() -> None:
     """It puts most torques of a joint that carries little on the other flank, 15 um of datum away."""
     record = generated(families.made("robot_pair", 4812))

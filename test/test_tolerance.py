@@ -272,6 +272,12 @@ def test_a_runout_takes_its_part() -> None:
 # Tilts ---
 
 
+@pytest.fixture
+def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An excess is looked for in few steps: where it is solved to be does not depend on them."""
+    monkeypatch.setattr("hd_diag.tolerance.limit.STEPS", 12)
+
+
 @cache
 def cup(cup_length: float, sections: int = 2) -> Drive:
     width = {"face_width": published.FACE_WIDTH, "cup_length": cup_length, "sections": sections}
@@ -289,7 +295,7 @@ def test_a_tilt_of_each_moment_takes_the_place_of_the_mesh_s() -> None:
             assert_allclose(getattr(together, name)[k], values[0], rtol=1e-12, err_msg=name)
 
 
-def test_the_worst_tilt_by_brute_force() -> None:
+def test_the_worst_tilt_by_brute_force(coarse: None) -> None:
     """A tilt alone: by polylines, 0.05 um off on either flank, the overlap is its limit, and less beside."""
     found = first_excess(cup(0.0), CUP, "overlap", 6e-6, LARGEST, 1.0)
     assert (found.reached, found.eccentricity) == (True, 0.0)
@@ -306,7 +312,7 @@ def test_the_worst_tilt_by_brute_force() -> None:
     assert max(overlap(0.3), overlap(-0.3)) < 6e-6
 
 
-def test_no_direction_and_angle_of_a_tilt_is_worse() -> None:
+def test_no_direction_and_angle_of_a_tilt_is_worse(coarse: None) -> None:
     found = first_excess(cup(0.04), CUP, "interference", 9e-6, LARGEST, 1.0)
     turn, direction = np.random.default_rng(5).uniform(0, 2 * np.pi, (2, 5000))
     still = np.zeros(turn.size, dtype=complex)
@@ -335,7 +341,7 @@ def test_the_chart_s_ends_are_the_single_limits() -> None:
     assert abs(coned[0][0] - coned[1][0]) > 1e-6
 
 
-def test_the_drive_s_own_tilt_does_not_count() -> None:
+def test_the_drive_s_own_tilt_does_not_count(coarse: None) -> None:
     own = cup(0.04)
     leaning = dataclasses.replace(own, mesh=dataclasses.replace(own.mesh, tilt=0.8e-3))
     asked = CUP, "overlap", 12e-6, LARGEST
