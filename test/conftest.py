@@ -83,16 +83,22 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
 
 
-# Files that begin first, so that the processes end together. Those with live nodes mostly wait; two at once
-# would leave a core idle. One begins, another comes after what computes, `replay_live` is late by its name.
-LONGEST = ("watch_live", "diagnose", "docs", "demo", "cli_fleet", "node", "monitor_model")
 # They share diagnosed records (report_samples), which one process then computes once.
 DIAGNOSED = ("diagnose", "report", "report_browser")
+# What begins first, so that the processes end together. Live nodes mostly wait, and two at once would leave a
+# core idle: the longest begin, others come after what computes, `replay_live` is late by its name.
+LONGEST = ("nodes", "diagnosed", "docs", "demo", "cli_fleet", "watch_live", "node", "monitor_model")
+
+
+def kept_together(file: Path) -> str:
+    """Name of what one process runs of a test's file: the file's own, or that of several."""
+    name = file.stem.removeprefix("test_")
+    return "diagnosed" if name in DIAGNOSED else "nodes" if name.startswith("node_") else name
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    begin = [f"test_{name}.py" for name in (*LONGEST, *DIAGNOSED)]
-    items.sort(key=lambda item: begin.index(item.path.name) if item.path.name in begin else len(begin))
+    begin = {name: number for number, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: begin.get(kept_together(item.path), len(begin)))
 
 
 def pytest_collection_finish() -> None:
@@ -108,8 +114,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
 
     class ByFile(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
-            name = Path(nodeid.partition("::")[0]).stem.removeprefix("test_")
-            return "diagnosed" if name in DIAGNOSED else "nodes" if name.startswith("node_") else name
+            return kept_together(Path(nodeid.partition("::")[0]))
 
     return ByFile(config, log)
 
