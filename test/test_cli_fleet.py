@@ -151,7 +151,9 @@ def test_a_row_is_what_diagnose_says(judged: tuple[Result, Path]) -> None:
     """To the bits that sums on one thread and on several differ by."""
     _, folder = judged
     rows = [row for row in table(folder / "f.parquet") if row["error"] is None and not row["problems"]]
-    written = json.loads(hd_diag("diagnose", folder / "bags" / "good.mcap", "--json", "-").stdout)
+    told = hd_diag("diagnose", folder / "bags" / "good.mcap", "--json", "-", "--fail-on-cause")
+    written = json.loads(told.stdout)
+    assert (told.exit_code, told.stderr, written["unexplained"]) == (0, ASSUMED, [])
     size = written["refit"]["parameters"]["eccentricity.magnitude"]
     normal = written["normal"]
     equal = {name: written[name] for name in ("verdict", "judgement", "advice")}

@@ -156,7 +156,6 @@ def test_symmetries_rename_the_teeth(moment: Moment, turns: int) -> None:
     angle, (e_x, e_y), (r_x, r_y), arc_offset = moment
     turned = (e_x + 1j * e_y) * np.exp(1j * PITCH)
     pitched = moment._replace(angle=angle + PITCH, eccentricity=(turned.real, turned.imag))
-    later = moment._replace(angle=angle + 2 * np.pi * turns)
     opposite = Moment(angle, (-e_x, -e_y), (-r_x, -r_y), arc_offset)
     mirrored = Moment(-angle, (e_x, -e_y), (r_x, -r_y), -arc_offset)
     later = moment._replace(angle=angle + 2 * np.pi * turns)

@@ -142,6 +142,7 @@ def test_a_skipped_tooth_is_found_and_put_back() -> None:
     assert found.rms.refit == pytest.approx(made.truth["noise_rms"], rel=CHANCE)
 
 
+@pytest.mark.slow  # 8 s; test_cli_fleet.py has a smaller one
 def test_wrong_parameters_in_a_bag(tmp_path: Path) -> None:
     made, told_file = generated("wrong_parameters", 3), tmp_path / "told.json"
     records.write_bag(made, tmp_path / "joint.mcap")

@@ -50,7 +50,6 @@ def state(drive: Drive, torque: float, angle: float = 0.0) -> MeshState:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"kinematics": Kinematics(80.0)}, "ratio 80 does not fit"),
         ({"rated_torque": 0.0}, "rated_torque must be positive, not 0.0 N m"),
         ({"rated_torque": math.inf}, "rated_torque must be positive, not inf N m"),
         ({"rated_torque": math.nan}, "rated_torque must be positive, not nan N m"),

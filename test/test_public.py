@@ -52,8 +52,9 @@ def test_a_moment_is_that_of_the_command_line(folder: Path) -> None:
     state = hd_diag.mesh_state(drive, 0.7, [9.0])
     assert state.torsion[0] == told["torsion"]
     assert hd_diag.transmission_error(drive, [0.7], 9)[0] == told["transmission_error"]
-    load = [told["load"][sign] for sign in "+-"]
-    np.testing.assert_array_equal(state.load[0], np.array(load, dtype=float))
+    for name, values in (("load", state.load), ("backlash", state.backlash)):
+        expected = np.array([told[name][sign] for sign in "+-"], dtype=float)
+        np.testing.assert_array_equal(values[0], expected)
     with pytest.raises(ValueError, match=r"angle \(3,\) \[rad\] and torque \(4,\) \[N m\] differ in shape"):
         hd_diag.transmission_error(drive, np.zeros(3), np.zeros(4))
     driven = hd_diag.mesh_state(drive, 0.7, drive.frame.cup_torque(np.array([9.0])))

@@ -170,12 +170,6 @@ def test_a_bag_with_its_own_joint_state_is_read_by_its_own_definition(tmp_path: 
 # What is written ---
 
 
-def test_a_replay_of_a_replay_is_the_same(tmp_path: Path, log: Path) -> None:
-    result = replay(log, tmp_path / "again.mcap")
-    assert result.reproduced
-    assert content(tmp_path / "again.mcap") == content(log)
-
-
 def test_a_nodes_outputs_are_no_input(tmp_path: Path, log: Path) -> None:
     """Under whatever name the node ran: its outputs have the joints' own names."""
     messages = samples()
