@@ -159,6 +159,7 @@ def written(file: Path) -> float:
     return file.stat().st_mtime
 
 
+@pytest.mark.slow  # 14 s; test_log_retention.py and test_recorded_monitor.py have its parts without a node
 def test_every_start_has_a_log_and_what_retention_leaves_replays(tmp_path: Path) -> None:
     """Without the outputs too, which the replay makes; a fault of the log hides none of a joint."""
     given = parameters(
