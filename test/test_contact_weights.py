@@ -106,15 +106,6 @@ def test_odd_pitch_errors_show_with_an_eccentricity() -> None:
     assert np.mean(odd) > 0.05 * np.mean(even)
 
 
-def test_one_moved_slot_opens_its_positive_flank() -> None:
-    slot = 11  # 0.34 rad: at a lobe in the first moment
-    expected = turned(lambda angle: polyline.mesh(angle, ECCENTRICITY, slot_shift=2e-6 * np.eye(202)[slot]))
-    flanks = weights(DRIVE, *product()).one_slot(slot * PITCH)
-    found = 2e-6 * (flanks[:, 0] - flanks[:, 1])
-    assert np.abs(expected).max() > 1e-6
-    assert rms(found - expected) < 2 * TOLERANCE * rms(expected)
-
-
 SHIFT = 4e-6 * np.cos(2 * (SLOTS - 0.7))  # so large that pairs come into and out of load
 
 
@@ -203,16 +194,6 @@ def test_reversed_torque_mirrors_pitch_and_reverses_form() -> None:
         assert_allclose(form[0], -np.conj(form[1]), rtol=1e-6)
         assert abs(pitch[0]) > 10.0
         assert abs(form[0]) > 5.0
-
-
-def test_slots_come_back_every_turn_and_teeth_two_further(many: tuple[Array, Array]) -> None:
-    here, there = weights(DRIVE, *many), weights(DRIVE, many[0] + 2 * math.pi, many[1])
-    ahead = 2 * 2 * math.pi / 200
-    for position in (0.0, 1.0, 5.0):
-        assert_allclose(there.one_slot(position), here.one_slot(position), atol=1e-9)
-        assert_allclose(there.one_tooth(position + ahead), here.one_tooth(position), atol=1e-9)
-    teeth = here.harmonics("tooth", (2,))[:, 0] * np.exp(2j * ahead)
-    assert_allclose(there.harmonics("tooth", (2,))[:, 0], teeth, atol=1e-9)
 
 
 def test_output_at_the_circular_spline_lags() -> None:

@@ -90,17 +90,6 @@ def test_one_section_is_the_plane_drive_to_the_last_bit() -> None:
     assert_array_equal(found.section_load[:, 0], expected.load)
 
 
-def test_an_ellipse_by_its_support_function_is_that_of_its_own_formulas() -> None:
-    """Torsion as this package had it while the ellipse's curve was an elliptic integral."""
-    given = {"eccentricity": (6e-6, -9e-6), "runout": (2e-6, 1e-6), "arc_offset": 3e-6}
-    turn, torque = np.array([0.0, 0.4, 1.7, 3.1, 4.9, 6.0]), np.array([0.5, -3.0, 14.0, -25.0, 56.0, 100.0])
-    stored = [
-        *(-9.66012095193349e-05, -0.00020346142923312219, 0.00044227430370384814),
-        *(-0.0008667041020801724, 0.0012895004827968078, 0.0020214667015066396),
-    ]
-    assert_allclose(torsion(drives.mesh(**given), turn, torque), stored, rtol=0, atol=1e-9)  # type: ignore[arg-type]
-
-
 def test_sections_of_a_ring_without_tilt_are_all_alike() -> None:
     turn, torque = np.linspace(0, 6, 30), np.linspace(-50, 80, 30)
     ring, plane = wide(eccentricity=9e-6j, sections=4), drives.mesh(eccentricity=(0.0, 9e-6))

@@ -234,28 +234,6 @@ def test_of_images_of_the_worst_the_first_is_given(criterion: str) -> None:
     assert_allclose(relative, relative[0], atol=1e-3)
 
 
-def test_peak_load_limit_by_brute_force() -> None:
-    """Polylines at the place found and around it: 50 N within the reference's error, and nowhere more."""
-    found = excess("peak_tooth_load", 50.0)
-    worst = found.worst
-    relative = worst.direction - worst.wave_generator_angle
-    peaks = []
-    for turn, beside in ((worst.wave_generator_angle, 0.0), (0.0, 0.0), (0.0, -0.15), (0.0259, 0.15)):
-        towards = found.eccentricity * np.exp(1j * (relative + beside + turn))
-        mesh = polyline.mesh(turn, (towards.real, towards.imag))
-        peaks.append(polyline.loads(mesh, polyline.torsion(mesh, CUP)).max())
-    assert_allclose((max(peaks), peaks[0]), 50.0, atol=0.02)
-
-
-def test_overlap_limit_by_brute_force() -> None:
-    found = excess("overlap", 0.0)
-    towards = found.eccentricity * np.exp(1j * found.worst.direction)
-    mesh = polyline.mesh(found.worst.wave_generator_angle, (towards.real, towards.imag))
-    gap = float(np.nanmin(mesh.rotation, axis=1).sum())
-    assert_allclose(gap * 30.6e-3, 0.0, atol=0.02e-6)
-    assert_allclose(found.eccentricity, 0.89e-6, atol=0.06e-6)
-
-
 def test_mirrored_torque_has_the_same_limit() -> None:
     limit = LIMITS["peak_tooth_load"]
     mirrored, plain = (excess("peak_tooth_load", limit, torque=torque) for torque in (-CUP, CUP))
@@ -293,23 +271,6 @@ def test_a_tilt_of_each_moment_takes_the_place_of_the_mesh_s() -> None:
         alone = evaluate(leaning, turn[k : k + 1], center[k : k + 1], np.array([CUP]))
         for name, values in vars(alone).items():
             assert_allclose(getattr(together, name)[k], values[0], rtol=1e-12, err_msg=name)
-
-
-def test_the_worst_tilt_by_brute_force(coarse: None) -> None:
-    """A tilt alone: by polylines, 0.05 um off on either flank, the overlap is its limit, and less beside."""
-    found = first_excess(cup(0.0), CUP, "overlap", 6e-6, LARGEST, 1.0)
-    assert (found.reached, found.eccentricity) == (True, 0.0)
-    places = cup(0.0).mesh.geometry.section_places.tolist()
-
-    def overlap(beside: float) -> float:
-        towards = found.tilt * np.exp(1j * (found.worst.direction + beside))
-        leaning = (towards.real, towards.imag)
-        apart = polyline.sections(found.worst.wave_generator_angle, (0.0, 0.0), leaning, 0.0, places)
-        least = np.fmin.reduce([np.nanmin(one.rotation, axis=1) for one in apart])
-        return -float(least.sum()) * 30.6e-3
-
-    assert_allclose(overlap(0.0), 6e-6, atol=0.1e-6)
-    assert max(overlap(0.3), overlap(-0.3)) < 6e-6
 
 
 def test_no_direction_and_angle_of_a_tilt_is_worse(coarse: None) -> None:

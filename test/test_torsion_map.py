@@ -107,51 +107,12 @@ def test_nan_beyond_the_limit(table: TorsionMap) -> None:
     assert_array_equal(np.isnan(table(np.zeros(6), torque)), [False, False, True, True, True, True])
 
 
-def decoded(table: TorsionMap, rows: slice = slice(None)) -> tuple[Array, Array]:
-    """Torques [N m] and torsions [rad] of some rows."""
-    root = table.torque[rows] / 32767
-    torque = root * np.abs(root) * table.requested_limit
-    origin, slope, step = np.float64(table.lines[rows]).T[:, :, None]
-    return torque, origin + slope * torque + step * table.torsion[rows]
-
-
-def plain(table: TorsionMap, turn: float, torque: float) -> float:
-    """The map's value by plain interpolation: at both angles beside, then between them."""
-    steps = steps_of(table)
-    place = turn % (2 * np.pi) * (steps / (2 * np.pi))
-    whole = min(int(place), steps - 1)
-    row = whole % (steps // table.repeats)
-    low, high = (
-        # Where a gap's ends stand above each other, the mean of what is beside them.
-        0.5 * (np.interp(torque, x, y) - np.interp(-torque, -x[::-1], -y[::-1]))
-        for x, y in zip(*decoded(table, slice(row, row + 2)), strict=True)
-    )
-    return float(low + (place - whole) * (high - low))
-
-
-def places(table: TorsionMap) -> tuple[Array, Array, Array]:
-    """Random places of a map, its own nodes and ends, zero torque; what plain interpolation may differ by.
-
-    Breakpoints that were moved may meet, and their torsions then differ by the rounding.
-    """
-    random, n, limit = np.random.default_rng(10), 3000, table.torque_limit
-    turn, torque = random.uniform(-50, 50, n), random.uniform(-1, 1, n) * limit
-    period, width = table.torque.shape[0] - 1, table.torque.shape[1]
-    row = random.integers(0, period, 500)
-    turn[:500] = 2 * np.pi / steps_of(table) * row
-    torque[:500] = np.clip(decoded(table)[0][row, random.integers(0, width, 500)], -limit, limit)
-    special = [0.0, -0.0, 1e-300, -1e-300, limit, -limit]
-    angles = [0.0, -0.0, -1e-20, 1e-300, 2 * np.pi, -2 * np.pi, np.nextafter(2 * np.pi, 0), 1e9]
-    pairs = np.array(np.meshgrid(angles, special)).reshape(2, -1)
-    error = np.full(n + pairs[0].size, 1e-12)
-    error[:500] = 4 * rounding(table)
-    return np.concatenate((turn, pairs[0])), np.concatenate((torque, pairs[1])), error
-
-
-def test_is_that_of_plain_interpolation(table: TorsionMap) -> None:
-    turn, torque, error = places(table)
-    expected = [plain(table, *place) for place in zip(turn, torque, strict=True)]
-    assert np.all(np.abs(table(turn, torque) - expected) <= error)
+def test_the_bound_holds_at_ends_of_turns_and_torques(table: TorsionMap) -> None:
+    limit = table.torque_limit
+    torques = [0.0, -0.0, 1e-300, -1e-300, limit, -limit]
+    angles = [0.0, -0.0, -1e-20, 1e-300, 2 * np.pi, -2 * np.pi, np.nextafter(2 * np.pi, 0), 1e6]
+    turn, torque = np.array(np.meshgrid(angles, torques)).reshape(2, -1)
+    assert np.abs(table(turn, torque) - torsion(table.mesh, turn, torque)).max() <= table.error_bound
 
 
 def test_angles_and_torques_of_different_number(astray: TorsionMap) -> None:
