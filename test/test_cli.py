@@ -75,7 +75,7 @@ def test_help_and_completion_import_nothing_that_is_slow() -> None:
         "    for words in ([], ['--help'], *verbs, ['completion', 'zsh']):\n"
         "        with contextlib.suppress(SystemExit):\n"
         "            cli(words, prog_name='hd-diag')\n"
-        "slow = 'numba numpy scipy matplotlib rclpy rich yaml mcap rosbags'.split()\n"
+        "slow = 'numba llvmlite numpy scipy matplotlib jinja2 rclpy rich yaml mcap rosbags'.split()\n"
         "print(told.getvalue().count('Usage: hd-diag '), [name for name in slow if name in sys.modules])"
     )
     run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, timeout=60)

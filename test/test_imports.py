@@ -217,9 +217,6 @@ SLOW = {
 @pytest.mark.parametrize(
     ("words", "may"),
     [
-        ("--help", set()),
-        ("completion zsh", set()),
-        ("diagnose --help", set()),
         ("check {file}", {"numpy", "yaml"}),
         ("mesh --config {file}", {"numpy", "yaml", "rich", "numba", "llvmlite", "scipy"}),
     ],
