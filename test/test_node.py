@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rclpy
+from cli_runner import hd_diag
 from faults import MESSAGES, STARTS, VALUES
 from live import MS, RATIO, START, config, message, parameters, sample
 from logs import content
@@ -33,7 +34,7 @@ from std_msgs.msg import Float64MultiArray, Header
 from visualization_msgs.msg import MarkerArray
 
 from hd_diag.bag import BagReader
-from hd_diag.config.configuration import Config
+from hd_diag.config.configuration import Config, dump
 from hd_diag.drive import mesh_state, transmission_error
 from hd_diag.replay.replay import replay
 from hd_diag.ros.node import main
@@ -116,6 +117,23 @@ def test_all_topics_with_their_types_and_content(arm: Rig, publisher: Any) -> No
     header = found["hd_diag/elbow/stamp"][0]
     assert (header.stamp.sec * 10**9 + header.stamp.nanosec, header.frame_id) == (stamp, "elbow")
     assert {m.header.frame_id for m in found["hd_diag/elbow/mesh"][0].markers} == {"elbow"}
+
+
+def test_layouts_made_for_it_name_what_it_publishes(arm: Rig, tmp_path: Path) -> None:
+    """`test_layouts` looks at what they take of each message; here are the topics of a running node."""
+    own, file = f"{arm.process.namespace}/hd_diag", tmp_path / "arm.yaml"
+    file.write_text(dump(config(*JOINTS)))
+    made = hd_diag("layout", "--config", file, "--node", own, "--out", tmp_path / "layouts")
+    assert made.exit_code == 0, made.stderr
+    (statuses,) = (array.status for array in arm.reports[-1:])
+    there = {status.hardware_id for status in statuses}
+    there |= {name for name, _ in arm.node.get_topic_names_and_types() if arm.node.count_publishers(name)}
+    for layout in (tmp_path / "layouts").iterdir():
+        shown = {*re.findall(rf"{own}(?:/\w+)+", layout.read_text())}
+        unknown = [name for name in shown if not any(f"{name}/".startswith(f"{each}/") for each in there)]
+        assert unknown == [], layout
+        arrays = {f"{own}/{joint}/{array}" for joint in JOINTS for array in ("backlash", "load")}
+        assert all(any(name.startswith(array) for name in shown) for array in arrays), layout
 
 
 def test_diagnostics(arm: Rig, publisher: Any) -> None:

@@ -1,5 +1,6 @@
 """The node's log while it runs: fixed when the node starts, complete, and going on after what goes wrong."""
 
+import contextlib
 import itertools
 import resource
 import shutil
@@ -8,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from live import MS, START, parameters
 from logs import content
 from rcl_interfaces.srv import DescribeParameters
@@ -195,3 +197,76 @@ def test_every_start_has_a_log_and_what_retention_leaves_replays(tmp_path: Path)
     found = [deserialize_message(data, JointState) for _, data in again[topic]]
     assert 0 < len(found) < samples
     assert found == errors[-len(found) :]
+
+
+def number_of(file: Path) -> int:
+    return int(file.stem.rpartition("_")[2])
+
+
+def bytes_of(folder: Path) -> int:
+    """Size of the log's files, without one that is deleted meanwhile."""
+    size = 0
+    for file in folder.rglob("*.mcap"):
+        with contextlib.suppress(FileNotFoundError):
+            size += file.stat().st_size
+    return size
+
+
+def test_a_size_bounds_a_log_of_a_fixed_name_which_the_next_start_replaces(tmp_path: Path) -> None:
+    """A file is cut at a tenth of the size; of the one that is open a flush may be beyond it."""
+    log, most = tmp_path / "arm", 3_000_000
+    given = parameters(
+        diagnostics_rate=20.0,
+        log__path=str(log),
+        log__overwrite=True,
+        log__max_size=most,
+        log__flush_period=0.05,
+    )
+    given["log.compression"] = "none"
+    first: set[int] = set()
+    for number in range(2):
+        with running(tmp_path, given) as rig:
+            assert rig.values("joint_1")["log_state"] == f"writing {log}"
+            publisher, sent, sizes = rig.publisher(), list[int](), list[int]()
+            begun: Path | None = None
+            while not number and (begun is None or begun.exists()):
+                sent += itertools.islice(stamps, 100)
+                feed(publisher, iter(sent[-100:]), 100)
+                rig.drain()
+                sizes.append(bytes_of(log))
+                begun = begun or max(log.glob("*.mcap"), key=number_of)  # it goes after the first samples
+            assert max(sizes, default=0) <= most
+            sent += itertools.islice(stamps, 20)
+            feed(publisher, iter(sent[-20:]), 20)
+            wanted = str(len(sent))
+            values = rig.values("joint_1", lambda v, n=wanted: v["samples"] == n)  # type: ignore[misc]
+            assert (values["log_lost"], values["log_warning"]) == ("0", "")
+            assert rig.process.end() == 0
+        assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == ["arm"]
+        (topic,) = (name for name in content(log) if name.endswith("/joint_states"))
+        found = [stamp_of(deserialize_message(data, JointState)) for _, data in content(log)[topic]]
+        assert found == sent[-len(found) :]
+        assert (len(found) < len(sent)) == (number == 0)
+        assert not {*found} & first
+        first = {*sent}
+        replay(log, tmp_path / f"again_{number}.mcap")
+
+
+def test_a_log_that_cannot_be_hides_no_fault_of_the_joint(tmp_path: Path) -> None:
+    with running(tmp_path, parameters(diagnostics_rate=20.0, log__path="/dev/null/log")) as rig:
+        publisher = rig.publisher()
+        feed(publisher, stamps, 20)
+        own, joint = {"LOG_FAILED"}, {"LOG_FAILED", "INTERFERENCE"}
+
+        def status(codes: set[str]) -> Any:
+            return rig.status(
+                "joint_1", lambda v: {*v["fault_codes"].split()} == codes, lambda: feed(publisher, stamps, 20)
+            )
+
+        alone = status(own)
+        assert (values_of(alone)["fault_code"], alone.level) == ("LOG_FAILED", DiagnosticStatus.WARN)
+        assert rig.set(joint_1__eccentricity__magnitude=60e-6)[0].successful
+        both = status(joint)
+        assert (values_of(both)["fault_code"], both.level) == ("INTERFERENCE", DiagnosticStatus.ERROR)
+        assert "; log failed: /dev/null/log/" in both.message
+        assert values_of(both)["fault_codes"] == "INTERFERENCE LOG_FAILED"
