@@ -106,6 +106,25 @@ def test_a_kernel_that_changed_is_compiled_apart_too(tmp_path: Path) -> None:
     assert changed_since(kernel)
 
 
+COMPILED = """
+import gc
+from numba.core.registry import CPUDispatcher
+from hd_diag.config.configuration import resolve
+from hd_diag.replay.preparation import entry_points, prepare
+
+prepare(resolve({}))
+dispatchers = [each for each in gc.get_objects() if isinstance(each, CPUDispatcher)]
+used = {each for each in dispatchers if each.signatures and each.stats.cache_path is not None}
+print({each.py_func.__qualname__ for each in used ^ {*entry_points()}})
+"""
+
+
+def test_all_that_the_node_compiles_is_looked_for_before() -> None:
+    """A diagnosis on a machine before its first node left some there: the node then compiled the others."""
+    run = subprocess.run([sys.executable, "-c", COMPILED], capture_output=True, text=True, check=True)
+    assert run.stdout == "set()\n"
+
+
 GIVEN_BACK = """
 import re, numba
 from pathlib import Path

@@ -25,6 +25,20 @@ def prepare(config: Config) -> None:
     encoding.warm_up()
 
 
+def entry_points() -> list[Any]:
+    """What `prepare` compiles; the last one last."""
+    from hd_diag.messages.kernel import read, write  # it imports numba
+    from hd_diag.model.kernel.entry import curves, mesh_state, torsion, torsion_table
+    from hd_diag.model.kernel.interpolation import columns, interpolate
+    from hd_diag.monitor.kernel import compare
+    from hd_diag.monitor.kernel_orders import follow, look
+    from hd_diag.streams.kernel import align, begin_after, begun, messages
+
+    streams = [begin_after, align, messages, begun]
+    model = [torsion, torsion_table, mesh_state, curves, columns, interpolate]
+    return [*streams, *model, compare, follow, look, write, read]
+
+
 def changed_since(kernel: Any) -> bool:
     """Whether a kernel has changed since the machine code of an entry point was kept."""
     package = Path(hd_diag.__file__).parent
@@ -44,10 +58,10 @@ def compile_apart(stopped: Sequence[int], tell: Callable[[str], object]) -> None
     Compiling takes 400 MB, which numba and LLVM keep. The process ends when a signal has come, which
     `stopped` then holds.
     """
-    from hd_diag.messages.kernel import read  # it imports numba; compiled last
     from hd_diag.model.kernel.compiler import is_kept
 
-    if is_kept(read) and not changed_since(read):
+    *others, read = entry_points()  # other verbs compile some of them
+    if all(map(is_kept, (read, *others))) and not changed_since(read):
         return
     tell("preparing the model: the first time on a machine this takes half a minute")
     child = os.fork()
