@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import fleet_tasks
 import numpy as np
@@ -227,11 +228,27 @@ def test_workers_of_a_killed_parent_end(noted: Path) -> None:
 # Cluster ---
 
 
+def test_workers_of_a_scheduler_do_tasks_and_what_raises_is_a_failure() -> None:
+    distributed = pytest.importorskip("distributed")
+    here: dict[str, Any] = {
+        "processes": False,
+        "protocol": "tcp",
+        "host": "127.0.0.1",
+        "dashboard_address": None,
+    }
+    with (
+        distributed.LocalCluster(n_workers=1, threads_per_worker=1, **here) as local,
+        ClusterPool(local.scheduler_address) as pool,
+    ):
+        assert dict(run(pool, pool_tasks.faulty, [1, 3])) == {0: 1, 1: Failure("Unsendable: 3: no")}
+
+
+@pytest.mark.slow  # 10 s
 @pytest.mark.parametrize("dask", [1], indirect=True)
 def test_the_cluster_makes_the_same_rows(
     dask: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """From paths alone, though it is in another folder; and what raises is a failure of its own."""
+    """From paths alone, though it is in another folder."""
     monkeypatch.setattr("hd_diag.fleet.run.judge", fleet_tasks.quick)
     (tmp_path / "bags").mkdir()
     monkeypatch.chdir(tmp_path)
@@ -243,7 +260,6 @@ def test_the_cluster_makes_the_same_rows(
         expected = diagnose_fleet(fleet, local, journal)
     with dask.pool() as pool, Journal(tmp_path / "cluster") as journal:
         assert diagnose_fleet(fleet, pool, journal) == expected
-        assert dict(run(pool, pool_tasks.faulty, [1, 3])) == {0: 1, 1: Failure("Unsendable: 3: no")}
     assert len(expected) == 5
     assert len(dask.begun()) == 10
 
