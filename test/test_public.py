@@ -33,7 +33,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     parameters["hd_diag"]["ros__parameters"]["elbow"]["sections"] = 1
     config.write_text(yaml.safe_dump(parameters))
     errors = ("--eccentricity-um=6", "--direction-deg=40", "--angle-noise-arcsec=2", "--torque-noise=0.1")
-    motion = ("--duration=30", "--rate=100", "--out", bag)
+    motion = ("--duration=20", "--rate=100", "--out", bag)
     assert command("simulate", "--config", config, *errors, *motion).exit_code == 0
     return place
 
