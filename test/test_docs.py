@@ -402,7 +402,7 @@ def test_a_script_of_the_gallery_draws_the_picture_that_is_shown(
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         matplotlib.rc_file(DOCS / "gallery/matplotlibrc")
-        runpy.run_path(str(script), run_name="__main__")
+        runpy.run_path(str(script))  # not as the main module, with which processes of a pool begin
         plt.close("all")
     drawn = (tmp_path / f"{script.stem}.svg").read_text(encoding="utf-8")
     kept = script.with_suffix(".svg").read_text(encoding="utf-8")
