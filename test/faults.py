@@ -321,8 +321,8 @@ stamps of zero | node, bags | the time of reception stands for them; counted and
     test_stamps_of_zero.py::test_stamps_of_zero_are_the_time_of_reception_and_that_is_said
 effort zero or not a number throughout | node | said in the status
     test_health.py::test_a_torque_that_nothing_measured_is_told
-values of a second publisher | node | a warning with values and publishers
-    test_node_losses.py::test_zeros_of_a_second_publisher_are_a_warning
+values of a second publisher | node | a warning with the values
+    test_health.py::test_values_of_a_second_publisher_are_told_while_they_come
 efforts or velocities fewer than names | node, bags | not read; what is mapped by name is refused
     test_stamps_of_zero.py::test_what_is_not_mapped_is_not_checked
 a recorder's clock set back | bags | told; what comes after is another recording

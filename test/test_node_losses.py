@@ -127,26 +127,6 @@ def test_what_waits_for_a_node_without_a_core_is_said(tmp_path: Path) -> None:
         rig.until(lambda: warned(rig, "the node cannot keep up: messages waited up to"), "warning")
 
 
-@pytest.mark.usefixtures("ros")
-def test_zeros_of_a_second_publisher_are_a_warning(tmp_path: Path) -> None:
-    """By their values at once, and by the publishers' names."""
-    stamps, turn = itertools.count(START, 5 * MS), itertools.count()
-    with running(tmp_path, parameters(**QUICK | {"diagnostics_rate": 2.0})) as rig:
-        own, other = rig.publisher(), rig.publisher()
-
-        def both() -> None:
-            for i in itertools.islice(turn, 4):
-                own.publish(sample(next(stamps), 20.0 + 0.01 * i, 0.2 + 0.0001 * i, 1.0 + 0.001 * i))
-                time.sleep(0.005)
-            other.publish(sample(next(stamps), 0.0, 0.0, 0.0))
-
-        def said(*texts: str) -> bool:
-            return any(all(t in each.message for t in texts) for a in rig.reports for each in a.status)
-
-        rig.values("joint_1", lambda _: said("with input 0 rad and output 0 rad and torque 0 N m"), both)
-        rig.values("joint_1", lambda _: warned(rig, "has more than one publisher of joint_1"), both)
-
-
 STEPS = st.lists(st.tuples(st.integers(0, 2), st.integers(1, 5)), max_size=60)
 
 
