@@ -10,7 +10,6 @@ from typing import Any
 import yaml
 from mcap.records import Statistics
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
-from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
 from hd_diag.bag.mcap_file import Stream, Written
 
@@ -48,11 +47,17 @@ def _listed_offers(text: str) -> Any:
 
 def dump_offers(offers: Sequence[Qos]) -> str:
     """Profiles as the YAML text of a channel's ``offered_qos_profiles``; empty text for none."""
-    return dump_yaml(dump_qos_v9(list(offers))).rstrip("\n") if offers else ""
+    if not offers:
+        return ""
+    from rosbags.rosbag2.metadata import dump_qos_v9  # late: it imports all of rosbags
+
+    return dump_yaml(dump_qos_v9(list(offers))).rstrip("\n")
 
 
 def parse_offers(text: str) -> list[Qos]:
     """Profiles from a channel's ``offered_qos_profiles``, of any metadata version; none where unreadable."""
+    from rosbags.rosbag2.metadata import parse_qos  # late: it imports all of rosbags
+
     try:
         return [_plain(offer) for offer in parse_qos(load_yaml(text) or [])]
     except UNREADABLE:

@@ -7,6 +7,7 @@ import re
 from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from math import inf
 from pathlib import Path
 
@@ -47,6 +48,7 @@ _LARGEST = {
     "temperature": (LARGEST_TEMPERATURE, "degC"),
 }
 _MOST_ROWS = 50_000_000  # half a day at 1 kHz
+_TOGETHER = 4096  # rows that become numbers at once
 _PART = "part"  # of a file, since its header came again
 
 
@@ -250,14 +252,17 @@ def _file(path: Path, table: Table, usual: Mapping[str, str]) -> tuple[dict[str,
         text = text_table(path, table.delimiter)
         wanted = {key: _column(text, key, given, usual) for key, given in table.columns.items()}
         values, parts = {key: array("d") for key in wanted}, array("d")
-        for count, (line, part, row) in enumerate(text.rows()):
-            if count > _MOST_ROWS:
+        rows = text.rows()
+        while block := list(islice(rows, _TOGETHER)):
+            lines, part, cells = zip(*block, strict=True)
+            if len(parts) + len(lines) > _MOST_ROWS:
                 raise RecordError(f"{path}: has more than {_MOST_ROWS} rows: split it")
-            parts.append(part)
-            if not count and "time" in wanted and seconds(row[place := wanted["time"][0]]) is not None:
+            if not parts and "time" in wanted and seconds(cells[0][place := wanted["time"][0]]) is not None:
                 wanted["time"] = place, Unit(1.0)
+            parts.extend(part)
             for key, (place, _) in wanted.items():
-                values[key].append(_number(path, line, row[place] if place < len(row) else ""))
+                column = [row[place] if place < len(row) else "" for row in cells]
+                values[key].extend(_numbers(path, lines, column))
     except (OSError, UnicodeError, csv.Error) as error:
         raise RecordError(f"{path}: cannot be read: {error}") from error
     units = {key: known for key, (_, known) in wanted.items()}
@@ -313,6 +318,14 @@ def place_of(text: TextTable, given: str) -> tuple[int, str, str, str]:
         held = ", ".join(header) if text.has_rows else f"{listed(header, 6)} and no rows of numbers"
         raise RecordError(f"{text.path}: has no column {name!r}; it has {held}")
     return place, header[place], stated, scale
+
+
+def _numbers(path: Path, lines: Sequence[int], cells: Sequence[str]) -> list[float]:
+    """Numbers in cells of one column, whose lines are for the error."""
+    try:
+        return list(map(float, cells))  # what most cells are
+    except ValueError:
+        return [_number(path, line, cell) for line, cell in zip(lines, cells, strict=True)]
 
 
 def _number(path: Path, line: int, cell: str) -> float:
