@@ -6,6 +6,7 @@ from numpy.testing import assert_allclose
 from scipy import stats
 from scipy.signal import lfilter
 
+from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit.design import (
     design,
     f_test,
@@ -158,14 +159,23 @@ def test_without_a_column_others_go_farther_from_their_prior() -> None:
     precision = np.array([0.0, 400.0, 0.0, 1.0, 1.0])
     pull = np.array([0.0, 0.1, 0.0, 0.0, -0.2])
 
-    def penalty(columns: list[int]) -> float:
+    def fitted(columns: list[int]) -> Floats:
         own, weight, centre = x[:, columns], precision[columns], pull[columns]
-        beta = np.linalg.solve(own.T @ own + np.diag(weight), own.T @ y + weight * centre)
-        return float(weight @ (beta - centre) ** 2)
+        beta = np.zeros(5)
+        beta[columns] = np.linalg.solve(own.T @ own + np.diag(weight), own.T @ y + weight * centre)
+        return beta
 
-    expected = penalty([1, 2, 3, 4]) - penalty([0, 1, 2, 3, 4])
+    def square(beta: Floats) -> float:
+        return float(np.sum((y - x @ beta) ** 2))
+
+    fewer, whole = fitted([1, 2, 3, 4]), fitted([0, 1, 2, 3, 4])
+    expected = precision @ ((fewer - pull) ** 2 - (whole - pull) ** 2)
     assert expected > 10.0
-    assert design(x, y, block, precision, pull).prior_gain(slice(0, 1)) == pytest.approx(expected)
+    gain, moved = design(x, y, block, precision, pull).prior_gain(slice(0, 1))
+    assert gain == pytest.approx(expected)
+    # All that the column brings, by data and prior together, is what it was to bring.
+    brought = square(fewer) - square(whole) + gain
+    assert brought == pytest.approx(float(np.sum((x @ (whole - fewer)) ** 2)) + moved)
 
 
 def noise_gain(seed: int, blocks: int = 24, size: float = 0.0, rows: slice = slice(None)) -> bool:

@@ -19,8 +19,10 @@ from numpy.testing import assert_allclose
 from report_samples import RUN, diagnosed, diagnosis, eccentric, generated, known_to_the_command_line, made
 
 from hd_diag.diagnosis import gain
+from hd_diag.diagnosis.calibration import MORE
 from hd_diag.diagnosis.diagnosis import diagnose
 from hd_diag.diagnosis.judgement import Answer
+from hd_diag.drive import transmission_error
 from hd_diag.effects import CATALOGUE
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -77,7 +79,10 @@ def test_a_drift_of_every_recording_is_fitted_to_all_of_them() -> None:
 def test_intervals_are_longer_where_more_than_noise_is_left(
     within: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Those of displacements, whose waves are within turns of the input, by what is left there."""
+    """Those of displacements, whose waves are within turns of the input, by what is left there.
+
+    And by what they would be if that were their own.
+    """
     plain, real = eccentric(), gain.measured_gain
 
     def worse(*given: Any) -> Any:
@@ -93,7 +98,16 @@ def test_intervals_are_longer_where_more_than_noise_is_left(
     def longer(name: str) -> float:
         return float(found.parameters[name]["std"] / plain.parameters[name]["std"])
 
-    assert longer("eccentricity.magnitude") == pytest.approx(min(within, found.misfit.value), rel=0.2)
+    assert found.rms is not None
+    left = found.rms.noise * float(np.sqrt(max(within**2 - MORE**2, 0.0)))
+    size, way = (found.parameters[f"eccentricity.{name}"]["value"] for name in ("magnitude", "direction"))
+    moved = joint(eccentricity__magnitude=size, eccentricity__direction=way).drive
+    angle, torque = found.record.input_angle, found.record.torque
+    part = transmission_error(moved, angle, torque) - transmission_error(joint().drive, angle, torque)
+    own = size * left / float(np.nanstd(part))
+    plainly = plain.parameters["eccentricity.magnitude"]["std"]
+    expected = float(np.hypot(min(within, found.misfit.value) * plainly, own)) / plainly
+    assert longer("eccentricity.magnitude") == pytest.approx(expected, rel=0.2)
     assert longer("tooth_compliance") == pytest.approx(found.misfit.value, rel=0.2)
 
 

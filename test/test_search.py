@@ -11,7 +11,7 @@ from joint_records import ARCSEC, NOISE, RATIO, joint, prepared
 from numpy.testing import assert_allclose
 
 from hd_diag.diagnosis import diagnosis
-from hd_diag.diagnosis.calibration import MISFIT
+from hd_diag.diagnosis.calibration import MISFIT, USUAL_SLOW
 from hd_diag.diagnosis.diagnosis import _NO_CAUSES, _described
 from hd_diag.diagnosis.evidence.naming import own_part, standings
 from hd_diag.diagnosis.evidence.search import (
@@ -25,7 +25,7 @@ from hd_diag.diagnosis.evidence.search import (
     restarted,
     search,
 )
-from hd_diag.diagnosis.evidence.sets import Set
+from hd_diag.diagnosis.evidence.sets import Remainders, Set
 from hd_diag.diagnosis.evidence.solution import Solution, motor_deviations, parameters_of, solution
 from hd_diag.diagnosis.evidence.unexplained import with_table
 from hd_diag.diagnosis.evidence.unmodelled_terms import UNMODELLED_TERMS
@@ -38,6 +38,7 @@ from hd_diag.diagnosis.gain import Rms, held_out, measured_gain
 from hd_diag.diagnosis.record import Record
 from hd_diag.drive import transmission_error
 from hd_diag.effects.effect import Stage
+from hd_diag.effects.remainders import SPEED
 from hd_diag.effects.signals import Signals
 
 ECCENTRIC = {
@@ -491,6 +492,60 @@ def test_a_loop_is_slow_and_an_encoder_is_not() -> None:
     (*_, slow), (*_, within) = (own_part(fit, chosen, tuple({*chosen} - {one}), one) for one in chosen)
     assert slow > 0.8
     assert within < 0.02
+
+
+@pytest.mark.parametrize(
+    ("position", "width", "sizes", "sensible"),
+    [(0.35, 0.06, (-20.0, 1.0), True), (0.0, 1.0, (-30.0, 20.0), False), (0.0, 1.0, (30.0, 20.0), True)],
+)
+def test_two_causes_undo_each_other_only_if_they_are_of_a_size(
+    position: float, width: float, sizes: tuple[float, float], sensible: bool
+) -> None:
+    """A small one where a large one has the other sign is there: causes are of any sign."""
+    runout = EFFECTS["output_runout"]
+    (place,) = (term for term in UNMODELLED_TERMS if term.name == "place")
+    items = ((runout, ()), (place, (position, width)))
+
+    def both(signals: Signals) -> np.ndarray:
+        bump = place.columns(signals, items[1][1])[:, 0]
+        return np.asarray(ARCSEC * (sizes[0] * np.cos(signals.output_angle) + sizes[1] * bump))
+
+    assert chosen_set(bench(both), *items).sensible is sensible
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_friction_that_is_usual_undoes_no_friction(sign: float) -> None:
+    """Both dissipate: they add up, or the cause is the shape of another law."""
+    friction = EFFECTS["viscous_windup"]
+    values = {"friction": 6.0, "exponent": 0.5}
+    item = (friction, friction.from_physical(values)[1])
+
+    def both(signals: Signals) -> np.ndarray:
+        part = of(friction, **values)(signals)
+        laws = SPEED.columns(signals, (1.0, -100.0, 100.0))
+        return np.asarray(part + 0.9 * sign * laws @ np.linalg.lstsq(laws, part, rcond=None)[0])
+
+    usual = Remainders(((SPEED, (USUAL_SLOW, -100.0, 100.0)),))
+    widths = {"function_of_speed": 100.0, friction.name: 10.0}
+    there = Set(bench(both, record=swinging(60.0)), usual, (item,), widths=widths)
+    assert there.sensible is (sign > 0.0)
+
+
+def test_a_displacement_that_some_rows_do_not_show_is_found_on_all() -> None:
+    """As configured it costs nothing there, and a search begins so: all rows are asked again."""
+    small = fit_parameters.vector(joint(eccentricity__magnitude=6e-6).drive, CONFIGURED)
+    record = swinging(60.0, drive=fit_parameters.drive_of(small, CONFIGURED))
+    every = linearise(record, CONFIGURED, small).with_noise(())
+    few = linearise(record.select(np.arange(record.size) < record.size // 20), CONFIGURED, small)
+    held = dataclasses.replace(few.moved(CENTRED), held=fit_parameters.displaced(CONFIGURED))
+    found = search([few.with_noise(()), held.with_noise(())], every, np.random.default_rng(0)).best
+    assert not found.names
+    assert found.fit.parameters[:2] == pytest.approx(small[:2], abs=0.5)
+    none = linearise(swinging(60.0, drive=CONFIGURED), CONFIGURED, CENTRED).with_noise(())
+    apart = dataclasses.replace(none, held=fit_parameters.displaced(CONFIGURED))
+    found = search([none.moved(small), apart], none, np.random.default_rng(0)).best
+    assert found.fit.held == (0, 1, 2, 3)
+    assert found.fit.parameters[:4] == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize("law", [lambda load: 1.0 / (1.0 + load), lambda load: np.exp(-load / 1.5)])

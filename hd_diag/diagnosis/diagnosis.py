@@ -277,7 +277,7 @@ def diagnose(
 
 
 def _starts(begun: LinearisedFit, test: Rows) -> list[LinearisedFit]:
-    """Where a search begins, on some rows of those that are not held out: as refitted, and as configured."""
+    """Where a search begins, on some rows of those that are not held out: as refitted, or as configured."""
     data = begun.data
     some = some_rows(data.source, _SEARCHED_ROWS)
     record = renumbered(data.source.select(some))
@@ -287,7 +287,9 @@ def _starts(begun: LinearisedFit, test: Rows) -> list[LinearisedFit]:
     # Of a record in pieces hardly any stretch may be left.
     fit = (fit if fit.data.at.size >= MINIMUM_SAMPLES else begun).beside(begun.present)
     as_configured = fit_parameters.vector(data.configured, data.configured)
-    return [fit] if record.by_current else [fit, fit.moved(as_configured)]
+    if record.by_current:
+        return [fit]
+    return [fit, replace(fit.moved(as_configured), held=fit_parameters.displaced(data.configured))]
 
 
 def _wider(rms: Rms, configured: Drive) -> Floats:

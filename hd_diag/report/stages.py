@@ -225,7 +225,7 @@ def curves(found: Solution) -> list[Curve]:
             continue
         place = getattr(found.fit.signals, one.effect.follows)
         order = np.argsort(place, kind="stable")[:: max(place.size // _CURVE_POINTS, 1)]
-        part = part_of(found.fit, one.effect, one.nonlinear, one.coefficients)
+        part = part_of(found.fit, found.chosen, (one.effect, one.nonlinear), one.is_larger)
         unit = _UNITS[one.effect.follows]
         result.append(Curve(words(one.effect.name), unit, place[order], part[order]))
     return result

@@ -87,7 +87,7 @@ def kept_parameters(free: Set) -> tuple[Set, Kept]:
     Parameters
     ----------
     free : Set
-        Settled, all parameters free.
+        Settled. Where parameters are held it is settled anew, all of them free.
 
     Returns
     -------
@@ -95,6 +95,7 @@ def kept_parameters(free: Set) -> tuple[Set, Kept]:
         The same with these groups held.
     kept : Kept
     """
+    free = free.at(free.fit.parameters).settled() if free.fit.held else free
     fit, chosen = free.fit, free.chosen
     away, spread = _away(fit, chosen)
     own = groups(fit.data.configured)

@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
+from hd_diag.arrays import Floats
 from hd_diag.diagnosis.calibration import (
     CERTAIN_SIZE,
     CLASS_SHARE,
@@ -154,14 +155,19 @@ def own_part(fit: LinearisedFit, chosen: Chosen, others: Chosen, item: Item) -> 
 
     With them the share of its square that is in means over turns of the input, of those gone through.
     """
-    place = fit.places(chosen)[chosen.index(item)]
-    part = fit.columns(*item) @ fit.fit(chosen)[0][place]
-    fixed = np.concatenate((fit.always(), fit.joined(others)), axis=1)
-    white = fit.whiten(part, fit.data.run)
-    moment = [one.T @ white for one in (fit.always_white, *(fit.white(*other) for other in others))]
-    rest = part - fixed @ solve(fit.design(others).whole[0], np.concatenate(moment))
+    rest = left_by(fit, chosen, others, item)
     own = float(np.std(rest))
     information = float(np.linalg.norm(fit.whiten(rest, fit.data.run)))
     rows, middle = fit.data.record.through, rest - rest.mean()
     within = float(np.var(centered(middle, fit.data.record.turn)[rows]) / max(np.var(middle[rows]), 1e-300))
     return own, own / max(information, 1e-300), 1.0 - min(within, 1.0)
+
+
+def left_by(fit: LinearisedFit, chosen: Chosen, others: Chosen, item: Item) -> Floats:
+    """What parameters and other effects leave of a chosen effect's part (n,) [rad]."""
+    place = fit.places(chosen)[chosen.index(item)]
+    part = fit.columns(*item) @ fit.fit(chosen)[0][place]
+    fixed = np.concatenate((fit.always(), fit.joined(others)), axis=1)
+    white = fit.whiten(part, fit.data.run)
+    moment = [one.T @ white for one in (fit.always_white, *(fit.white(*other) for other in others))]
+    return np.asarray(part - fixed @ solve(fit.design(others).whole[0], np.concatenate(moment)))

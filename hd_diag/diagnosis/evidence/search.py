@@ -173,7 +173,8 @@ def search(
     Parameters
     ----------
     starts : list of LinearisedFit
-        At minima of the parameters, on some rows: there causes are looked for.
+        At minima of the parameters, on some rows: there causes are looked for. Of one displacements may be
+        held as configured: free, each costs what a record tells of it, also where it does nothing.
     every : LinearisedFit
         On all rows: there what was found is weighed, and what is small is looked for.
     rng : numpy.random.Generator
@@ -214,7 +215,9 @@ def search(
                 break
     if minima[0] is not scanned:
         minima[0], reach = _along_datum_in_time(minima[0], rows)
-    best, known = minima[0].moved_to(every).settled(_TO_MINIMUM), _plain(instead)
+    best, known = minima[0].moved_to(every).settled(_TO_MINIMUM).polished(), _plain(instead)
+    if best.fit.held:  # all rows may show a displacement that some do not
+        best = max(best, best.at(starts[0].parameters).settled(_TO_MINIMUM), key=lambda one: one.value)
     instead, left = known, Left()
     with work.until(SEARCHED, FURTHER_CAUSES):
         for turn in range(_TURNS):
@@ -225,7 +228,7 @@ def search(
             if found is None:
                 break
     rivals = _rivals(minima, best, rows)
-    return Found(best, rivals, _beside_rivals(instead, best, rivals), reach)
+    return Found(best, rivals, _beside_rivals({**known, **instead}, best, rivals), reach)
 
 
 def _tell(work: Work, half: float, turn: int, text: str) -> None:
@@ -241,8 +244,9 @@ def _better(now: Set, known: Instead, left: Left) -> tuple[Set | None, Instead]:
     may seem better: what is `left` is gone back to with one cause more, and the lesser then left for good.
     """
     found = _next(now) if len(now.causes) < _MOST else None
-    if found is not None:
-        if _kinds(found.causes) in left:
+    again = found is not None and _kinds(found.causes) in left
+    if found is not None and not (again and not found.relearned().sensible):
+        if again:
             left.add(_kinds(now.causes))
         return _fewer(found), known
     found, instead = _exchanged(now, known, left)
@@ -279,7 +283,8 @@ def _rivals(minima: list[Set], best: Set, rows: int) -> tuple[Set, ...]:
     least = math.log(1.0 - NAMED)
     close = _on_rows(first, rows) - _CLOSE
     near = [one for one in others if _on_rows(one, rows) > close and one.names == first.names]
-    there = [best.at(one.fit.parameters).settled() for one in near if _is_beyond_valley(first, one)]
+    apart = [one.fit for one in near if _is_beyond_valley(first, one)]
+    there = [best.at(fit.parameters, fit.held).settled() for fit in apart]
     return tuple(one for one in there if one.value > best.value + least and _is_beyond_valley(best, one))
 
 
@@ -318,15 +323,17 @@ def _with_torque_zero(at: Set, zero: float) -> Set | None:
 
 def _exchanged(now: Set, known: Instead, left: Left) -> tuple[Set | None, Instead]:
     """A better set with another cause in the place of one, if there is any; and what was weighed for each."""
-    instead = Instead()
+    instead, senseless = Instead(), now.senseless  # by the noise learned beside it
     for effect, nonlinear in now.causes:
         if effect.name in known:
             instead[effect.name] = known[effect.name]
             continue
-        without = now.without(effect.name).settled()
+        without = now.without(effect.name).settled(_TO_MINIMUM)
         trials, itself = [without], _kind((effect, nonlinear))
         if now.before is not None and now.before.names == without.names:
             trials.append(now.before.on(now))  # the others may have moved to make room for it
+        # Else what polishing brings any set would count for the cause.
+        trials = [one.polished() if one.value > now.value - _CLOSE else one for one in trials]
         # What is alike on any record is weighed by its name alone.
         ranked = [one for one in candidates(without) if one.name not in effect.always_confused]
         own = max((one.gain for one in ranked if one.name == effect.name), default=math.inf)
@@ -340,9 +347,10 @@ def _exchanged(now: Set, known: Instead, left: Left) -> tuple[Set | None, Instea
                 trials.append(there)
                 if there.value > now.value - _NEARLY:
                     better = there.polished()
-                    trials += [better] if better.sensible and better.foretells(one.name) else []
+                    trials += [better] if better.foretells(one.name) else []
         best = max(trials, key=lambda one: one.value)
-        if best.value > now.value and _kinds(best.causes) not in left:
+        worth = -math.inf if effect.name in senseless else now.value
+        if best.value > worth and _kinds(best.causes) not in left:
             return best, {}
         odds = dict[str, float]()
         for trial in trials:
@@ -423,7 +431,7 @@ def _at_minima(found: Set, others: list[Set], rng: np.random.Generator) -> list[
     for other in others:
         if len(distinct([*points, other.fit.parameters], own)) > len(points):
             points.append(other.fit.parameters)
-            there = found.at(other.fit.parameters).settled()
+            there = found.at(other.fit.parameters, other.fit.held).settled()
             if there.sensible:
                 sets.append(there)
     return sets
@@ -474,7 +482,7 @@ def restarted(at: Set, rng: np.random.Generator) -> Floats:
     extra = fit.joined(at.causes)
     more = fit.effects.torque(fit.sized(at.chosen, fit.fit(at.chosen)[0]))[own.at]
     record = replace(own.record, torque=own.record.torque + more)
-    return refit(record, own.configured, rng, extra, fit.parameters, FEW_STARTS, held=fit.held).parameters
+    return refit(record, own.configured, rng, extra, fit.parameters, FEW_STARTS).parameters
 
 
 def _fewer(at: Set) -> Set:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -147,7 +147,7 @@ class Set:
         fit, chosen = polished(self.fit, self.chosen, rounds)
         first, last = len(self.remainders.items), len(self.given)
         better = replace(self, fit=fit, motor=chosen[first:last], causes=chosen[last:]).valued()
-        return better if better.value > self.value else self
+        return better if better.value > self.value and better.senseless <= self.senseless else self
 
     def foretells(self, name: str) -> bool:
         """Whether a cause holds in blocks of the record that others foretell: evidence believes the model.
@@ -160,9 +160,9 @@ class Set:
             return True
         place = self.fit.places(self.chosen)[self.chosen.index(item)]
         design = self.fit.design(self.chosen)
-        more = design.prior_gain(place) / design.square.size
+        more, moved = (one / design.square.size for one in design.prior_gain(place))
         gain, predicted, variance = design.held_out_gain(place)
-        gain, predicted, variance = gain + more, predicted + more, variance + max(more, 0.0)
+        gain, predicted, variance = gain + more, predicted + moved, variance + moved
         there = min(foretold(one, predicted, variance) for one in (gain, predicted))
         worth = 0.5 * calibration.TEMPER * there
         return worth > -presence(self.fit, item[0]) and holds(gain, predicted, variance)
@@ -226,29 +226,43 @@ class Set:
 
     def moved_to(self, fit: LinearisedFit) -> Set:
         """On other rows of the record, with the noise that is known."""
-        there = replace(fit, whiten=self.fit.whiten).moved(self.fit.parameters)
+        there = replace(fit, whiten=self.fit.whiten, held=self.fit.held).moved(self.fit.parameters)
         sized = self.fit.sized(self.chosen, self.fit.fit(self.chosen)[0])
         there = there.clear_of(there.effects.possible_torques(sized))
         # How many columns a term without a law has, one for each rest say, goes with the rows.
         known = tuple(one for one in sized if there.columns(*one[0]).shape[1] == one[1].size)
         return replace(self, fit=there.beside(known), rounds=1)
 
-    def at(self, parameters: Floats) -> Set:
-        """At other parameters (p,), with the same sizes; not settled."""
-        return replace(self, fit=self.fit.moved(parameters).beside(self.fit.present))
+    def at(self, parameters: Floats, held: tuple[int, ...] = ()) -> Set:
+        """At other parameters (p,), of which some are held, with the same sizes; not settled."""
+        fit = replace(self.fit.moved(parameters), held=held).beside(self.fit.present)
+        return replace(self, fit=fit)
 
     @property
     def sensible(self) -> bool:
-        """Whether every cause is itself at its size, and no others undo most of it.
+        """Whether every cause is itself at its size, and no others undo most of it."""
+        return not self.senseless
 
-        Causes that are there are of any sign. Two large ones that undo each other are the shape of a third.
+    @property
+    def senseless(self) -> frozenset[str]:
+        """Names of the causes that are not themselves at their size, or that others undo most of.
+
+        Causes that are there are of any sign. Two that leave little together are the shape of a third.
+        Friction of any law dissipates: what is usual of it undoes no cause.
         """
-        if not all(sensible(self.fit, self.chosen)):
-            return False
-        sized = self.fit.sized(self.chosen, self.fit.fit(self.chosen)[0])[len(self.given) :]
-        parts = [self.fit.columns(*item) @ own for item, own in sized]
-        parts = [part - part.mean() for part in parts]
-        return not any(part @ (sum(parts) - part) < -calibration.UNDONE * (part @ part) for part in parts)
+        good = sensible(self.fit, self.chosen)
+        found = {item[0].name for item, one in zip(self.chosen, good, strict=True) if not one}
+        if not self.causes:
+            return frozenset(found)
+        sized = self.fit.sized(self.chosen, self.fit.fit(self.chosen)[0])
+        counted = [one for one in sized if one[0] in self.causes or one[0][0] in (LOOP, SPEED)]
+        parts = np.array([self.fit.columns(*item) @ own for item, own in counted])
+        parts -= parts.mean(axis=1, keepdims=True)
+        causes = parts[-len(self.causes) :]
+        left = causes + (causes @ parts.T < 0.0) @ parts  # beside all of the other sign
+        size, rest = (np.linalg.norm(one, axis=1) for one in (causes, left))
+        undone = rest < (1.0 - calibration.UNDONE) * size
+        return frozenset(found.union(self.causes[index][0].name for index in np.flatnonzero(undone)))
 
 
 def presence(fit: LinearisedFit, effect: Effect) -> float:
@@ -269,8 +283,3 @@ def _group(fit: LinearisedFit, name: str, item: Item) -> Columns:
     usual = np.full(white.shape[1], _WANDERING * float(effect.usual[0]))
     usual[: effect.size] = effect.usual[: white.shape[1]]
     return name, white, usual, calibration.SIZES, 0.0
-
-
-def rows_of(chosen: Sequence[Item]) -> list[str]:
-    """Names of effects."""
-    return [effect.name for effect, _ in chosen]

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.calibration import LEAST_SIZE, ODDS, TEMPER, USUAL_LOOP
-from hd_diag.diagnosis.evidence.naming import Standing
+from hd_diag.diagnosis.evidence.naming import Standing, left_by
 from hd_diag.diagnosis.evidence.order_table import OrderRow
 from hd_diag.diagnosis.evidence.sets import Set
 from hd_diag.diagnosis.evidence.unmodelled_terms import UnmodelledTerm
@@ -20,7 +20,8 @@ from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.design import interval
 from hd_diag.diagnosis.fit.joint_refinement import covariance
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
-from hd_diag.effects.effect import Effect, Values
+from hd_diag.diagnosis.fit.present_effects import Item
+from hd_diag.effects.effect import Effect
 from hd_diag.effects.motor_current import MotorCurrent
 from hd_diag.effects.remainders import LOOP, ORDERS, Remainder
 
@@ -81,7 +82,8 @@ class Function:
     nonlinear : tuple of float
     coefficients : ndarray, shape (k,)
     rms, largest : float
-        Of its part in the error, and what hardly any row exceeds [rad].
+        Of its part in the error, and what hardly any row exceeds [rad]. Of one larger than usual it is
+        what all others leave: two may be larger than the error, and undo each other.
     at : float
         Where that is: torque [N m], speed of the input [rad/s], place of the output [rad] or time [s].
     is_larger : bool
@@ -196,9 +198,12 @@ def _shared(best: Set) -> dict[str, Floats]:
     }
 
 
-def part_of(fit: LinearisedFit, effect: Remainder, nonlinear: Values, coefficients: Floats) -> Floats:
-    """What a remainder adds along the rows of a fit, about its mean (n,) [rad]."""
-    part = fit.columns(effect, nonlinear) @ coefficients
+def part_of(fit: LinearisedFit, chosen: Chosen, item: Item, is_larger: bool) -> Floats:
+    """What a remainder adds along the rows of a fit, about its mean (n,) [rad]; see :class:`Function`."""
+    if is_larger:
+        part = left_by(fit, chosen, tuple(one for one in chosen if one != item), item)
+    else:
+        part = fit.columns(*item) @ fit.fit(chosen)[0][fit.places(chosen)[chosen.index(item)]]
     return np.asarray(part - part.mean())
 
 
@@ -209,7 +214,7 @@ def _functions(fit: LinearisedFit, chosen: Chosen, larger: Collection[str]) -> t
     for (effect, nonlinear), place in zip(chosen, fit.places(chosen), strict=True):
         if not isinstance(effect, Remainder):
             continue
-        part = part_of(fit, effect, nonlinear, beta[place])
+        part = part_of(fit, chosen, (effect, nonlinear), effect.name in larger)
         rms, most = float(np.std(part)), int(np.argsort(np.abs(part))[int(_NEARLY_ALL * (part.size - 1))])
         where = getattr(fit.signals, effect.follows)
         foretold = 0.5 * TEMPER * float(built.held_out_gain(place)[0].sum())  # log odds

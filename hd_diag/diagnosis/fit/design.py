@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 from scipy import special
+from scipy.linalg import lapack
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.calibration import CERTAIN_SIZE, DISAGREEING
@@ -16,6 +17,7 @@ from hd_diag.diagnosis.calibration import CERTAIN_SIZE, DISAGREEING
 _DRAWS = 2000  # of a bootstrap
 _ALONE = 1e-10  # share of a column outside a block that is nothing but rounding
 _ALIKE = 1e-10  # least eigenvalue of a Gram matrix over its greatest: columns that rounding makes differ
+_APART = 1e-6  # share of a column that those before it leave, from which none of a matrix are alike
 _TOLD_APART = 1e-6  # of the inverse times the matrix from one
 
 
@@ -134,14 +136,19 @@ class Design:
             variance[block] = predicted[block] + along @ spread @ along
         return gain, predicted, variance
 
-    def prior_gain(self, dropped: slice) -> float:
-        """How much farther others have to go from their prior without some columns, as a sum of squares."""
+    def prior_gain(self, dropped: slice) -> tuple[float, float]:
+        """How much farther others have to go from their prior without some columns, as a sum of squares.
+
+        With it what that would be by how far they move alone, as `predicted` is of a block: both together
+        make the gain what is predicted, for a prior holds others back, and draws them.
+        """
         gram, moment = self.whole
         rest = np.delete(np.arange(moment.size), np.r_[dropped])
         whole, fewer = solve(gram, moment), np.zeros(moment.size)
         fewer[rest] = solve(gram[np.ix_(rest, rest)], moment[rest])
         away, there = ((one - self.pull)[rest] for one in (fewer, whole))
-        return float(self.precision[rest] @ (away**2 - there**2))
+        own = self.precision[rest]
+        return float(own @ (away**2 - there**2)), float(own @ (away - there) ** 2)
 
     def blocks(self) -> Iterator[tuple[Floats, Floats, Floats, Floats]]:
         """Normal equations of every block and of all others.
@@ -166,7 +173,14 @@ def inverse(gram: Floats) -> Floats:
     square = np.diag(gram)
     # Rounding must not blow up a column of zeros: divided by infinity it stays out of the way.
     scale = np.where(square > 0.0, np.sqrt(np.maximum(square, 1e-300)), np.inf)
-    values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
+    scaled = gram / np.outer(scale, scale)
+    if not square.size:
+        return np.asarray(scaled)
+    root, failed = lapack.dpotrf(scaled, lower=1)
+    if not failed and np.all(np.diag(root) ** 2 > _APART):  # no two are alike: several times as fast
+        lower = lapack.dpotri(root, lower=1)[0]
+        return np.asarray((np.tril(lower) + np.tril(lower, -1).T) / np.outer(scale, scale))
+    values, vectors = np.linalg.eigh(scaled)
     kept = values > _ALIKE * values.max(initial=0.0)
     return np.asarray((vectors[:, kept] / values[kept]) @ vectors[:, kept].T / np.outer(scale, scale))
 

@@ -139,10 +139,15 @@ class RecordModel:
 
     def rate(self, values: Floats) -> Floats:
         """Derivative by time of values at all rows, run by run."""
-        rate = np.zeros(self.record.size)
-        for begin, end in bounds(self.record.run):
-            if end - begin > 2:
-                rate[begin:end] = np.gradient(values[begin:end], self.record.time[begin:end])
+        if self.record.size < 2:
+            return np.zeros(self.record.size)
+        first, end = np.array(bounds(self.record.run)).T
+        with np.errstate(divide="ignore", invalid="ignore"):  # between runs, which comes to nothing
+            rate = np.gradient(values, self.record.time)
+            step = np.diff(values) / np.diff(self.record.time)
+        long = end - first > 2
+        rate[first[long]], rate[end[long] - 1] = step[first[long]], step[end[long] - 2]
+        rate[(~long)[np.repeat(np.arange(first.size), end - first)]] = 0.0
         return rate
 
     def _at(self, parameters: Floats) -> AtParameters:
