@@ -173,11 +173,3 @@ def test_starts_of_either_lobe_end_in_the_same_drive(short: Record) -> None:
     ]
     assert len(distinct([one.parameters for one in found] + [TRUE])) == 1
     assert [one.trustworthy for one in found] == [True, True]
-
-
-def test_what_is_held_is_as_configured_and_no_minimum_of_its_own(short: Record) -> None:
-    held = (4, 5, 6)
-    found = refit(short, CONFIGURED, np.random.default_rng(0), held=held)
-    configured = fit_parameters.vector(CONFIGURED, CONFIGURED)
-    assert found.parameters[list(held)] == pytest.approx(configured[list(held)], abs=1e-4)
-    assert np.abs(found.parameters[:4] - configured[:4]).max() > 1.0

@@ -118,7 +118,6 @@ def refit(
     start: Floats | None = None,
     starts: Starts = STARTS,
     motor: Motor | None = None,
-    held: tuple[int, ...] = (),
 ) -> Refit:
     """Fit the model's parameters from many starts, a wrong zero of the torque beside them.
 
@@ -138,8 +137,6 @@ def refit(
         Eccentricities to begin with: magnitude [um], direction [pi rad].
     motor : Motor, optional
         What is fitted of the torque itself.
-    held : tuple of int
-        Numbers of the parameters that stay as configured.
 
     Returns
     -------
@@ -156,7 +153,7 @@ def refit(
     rows = np.flatnonzero(usable(record))
     for samples, steps, kept in _ROUNDS:
         some = np.sort(rng.choice(rows, min(samples, rows.size), replace=False))
-        problem = _Problem(record, configured, free, some, noise, motor, held)
+        problem = _Problem(record, configured, free, some, noise, motor)
         trials = sorted((_levenberg(problem, point, steps) for point in points), key=lambda trial: trial[1])
         hopeful = [point for point, value in trials if value < _HOPELESS * trials[0][1]]
         points = distinct(hopeful, configured)[:kept]
@@ -270,7 +267,6 @@ class _Problem:
         rows: npt.NDArray[np.int64],
         noise: float,
         motor: Motor | None,
-        held: tuple[int, ...],
     ) -> None:
         self.configured, self.own = _coarse(configured), fit_parameters.count(configured)
         self.motor = None if motor is None else motor._replace(torque=motor.torque[rows])
@@ -279,7 +275,7 @@ class _Problem:
         self.measured = record.output_angle[rows] - self.input_angle / configured.kinematics.ratio
         self.free = np.linalg.qr(free[rows])[0]
         center, width = fit_parameters.prior(configured)
-        fixed = [*held, *([COMPLIANCE] if record.by_current else [])]
+        fixed = [COMPLIANCE] if record.by_current else []
         center[fixed], width[fixed] = fit_parameters.vector(configured, configured)[fixed], _HELD
         self.center = np.concatenate((center, [0.0], np.zeros(own.size)))
         self.width = np.concatenate((width, [1.0 if record.has_torque else _HELD], own))
