@@ -289,7 +289,8 @@ def _starts(begun: LinearisedFit, test: Rows) -> list[LinearisedFit]:
     as_configured = fit_parameters.vector(data.configured, data.configured)
     if record.by_current:
         return [fit]
-    return [fit, replace(fit.moved(as_configured), held=fit_parameters.displaced(data.configured))]
+    displaced = numbers_of(HELD & fit_parameters.groups(data.configured).keys())
+    return [fit, replace(fit.moved(as_configured), held=tuple(sorted(displaced)))]
 
 
 def _wider(rms: Rms, configured: Drive) -> Floats:

@@ -150,7 +150,7 @@ def _ramp(record: Record, ratio: float) -> tuple[float, float]:
     rest, slopes = error - scaled @ found, found[:_PARTS] / scale[:_PARTS]
     # Of a part of a turn a wave of it is nearly a ramp: large ones that undo each other are neither.
     ramp, wave = slopes.mean() * along, slice(_PARTS, _PARTS + len(once))
-    if np.std(ramp + scaled[:, wave] @ found[wave]) < UNDONE * np.std(ramp):
+    if np.std(ramp + scaled[:, wave] @ found[wave]) < (1.0 - UNDONE) * np.std(ramp):
         return 0.0, np.inf
     left = error - waved @ (np.linalg.pinv(waved, rcond=1e-6) @ error)
     if np.linalg.norm(left) < _LESS * np.linalg.norm(rest):  # a wave twice per output turn does as well

@@ -173,8 +173,8 @@ def search(
     Parameters
     ----------
     starts : list of LinearisedFit
-        At minima of the parameters, on some rows: there causes are looked for. Of one displacements may be
-        held as configured: free, each costs what a record tells of it, also where it does nothing.
+        At minima of the parameters, on some rows: there causes are looked for. One may hold displacements as
+        configured: a free one costs what the record tells of it, even where it does nothing.
     every : LinearisedFit
         On all rows: there what was found is weighed, and what is small is looked for.
     rng : numpy.random.Generator
@@ -241,13 +241,16 @@ def _better(now: Set, known: Instead, left: Left) -> tuple[Set | None, Instead]:
     """A set with one cause more, or another in the place of one; None where none is better.
 
     Of some causes it may be `known` that nothing is. Of two sets with noise learned beside each the other one
-    may seem better: what is `left` is gone back to with one cause more, and the lesser then left for good.
+    may seem better: what is `left` is gone back to with one cause more, and the lesser then left for good. To
+    one that is senseless with its own noise nothing goes back.
     """
     found = _next(now) if len(now.causes) < _MOST else None
-    again = found is not None and _kinds(found.causes) in left
-    if found is not None and not (again and not found.relearned().sensible):
-        if again:
+    if found is not None and _kinds(found.causes) in left:
+        if found.relearned().sensible:
             left.add(_kinds(now.causes))
+        else:
+            found = None
+    if found is not None:
         return _fewer(found), known
     found, instead = _exchanged(now, known, left)
     if found is not None:

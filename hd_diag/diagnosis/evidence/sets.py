@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -243,7 +244,7 @@ class Set:
         """Whether every cause is itself at its size, and no others undo most of it."""
         return not self.senseless
 
-    @property
+    @cached_property
     def senseless(self) -> frozenset[str]:
         """Names of the causes that are not themselves at their size, or that others undo most of.
 

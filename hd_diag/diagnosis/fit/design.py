@@ -137,10 +137,14 @@ class Design:
         return gain, predicted, variance
 
     def prior_gain(self, dropped: slice) -> tuple[float, float]:
-        """How much farther others have to go from their prior without some columns, as a sum of squares.
+        """What some columns bring by the prior of all others, beside what they bring in the blocks.
 
-        With it what that would be by how far they move alone, as `predicted` is of a block: both together
-        make the gain what is predicted, for a prior holds others back, and draws them.
+        Returns
+        -------
+        gain : float
+            How much farther the others are from their prior without these columns, as a sum of squares.
+        predicted : float
+            The square of how far they move. In a fit to all blocks both sums, these included, are equal.
         """
         gram, moment = self.whole
         rest = np.delete(np.arange(moment.size), np.r_[dropped])

@@ -116,11 +116,6 @@ def groups(configured: Drive) -> dict[str, tuple[int, ...]]:
     return {name: numbers for name, numbers in GROUPS.items() if numbers[-1] < count(configured)}
 
 
-def displaced(configured: Drive) -> tuple[int, ...]:
-    """Numbers of eccentricity, runout and tilt among the parameters of a drive."""
-    return tuple(np.flatnonzero(_SIGNS[: count(configured)] < 0.0).tolist())
-
-
 def displacements(parameters: Floats) -> Floats:
     """Eccentricity, runout and tilt of parameters, shape (4,) or (6,)."""
     return np.asarray(parameters[_SIGNS[: parameters.size] < 0.0])
