@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
-from functools import partial
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 
-from hd_diag.arrays import Floats
+from hd_diag.arrays import Floats, Integers
 from hd_diag.model import kernel
 from hd_diag.model.mesh import Mesh, contiguous, moments
 from hd_diag.model.threads import MOMENTS, spread
 
-_BEYOND = 1.0  # both sides of zero are solved, also without torque [N m]
+BEYOND = 1.0
+"""Torque beyond those asked for that is solved: both sides of zero, also without torque [N m]."""
+
 # What the gradient carries a displacement by, in modules: over the squared steps of a pitch, as both errors
 # go with the square; times the sections, which bear one after the other. Costs 0.02 arcsec at ratio 100.
 _CARRIED = 0.004
@@ -66,37 +70,77 @@ def torsion_and_gradient(mesh: Mesh, wave_generator_angle: Floats, torque: Float
     return beta, _with_compliance(mesh, load, gradient)
 
 
-def torsion_along(
-    mesh: Mesh, wave_generator_angle: Floats, torque: Floats, steps: int
-) -> tuple[Floats, Floats]:
-    """As :func:`torsion_and_gradient` along many samples: solved at so many steps of some teeth's pitch only.
+@dataclass(frozen=True)
+class TorsionAlong:
+    """As :func:`torsion_and_gradient` along many samples, at any torques: solved at steps of some teeth only.
 
     A tooth on, the drive is the same except for the direction in which it is displaced. Samples of other
     teeth follow by the gradient, those between two steps straight. At a node they are exact at every torque;
-    what breaks where a pair comes into load is blurred by one step. nan where no flank can bear the torques
-    about a node.
+    what breaks where a pair comes into load is blurred by one step. nan where no flank can bear the torques.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    wave_generator_angle : ndarray, shape (n,)
+        Of the samples [rad].
+    low, high : float
+        Torques on the cup between which it answers [N m].
+    steps : int
+        Of a tooth's pitch.
     """
-    teeth, (solved, blends) = mesh.geometry.circular_spline_teeth, teeth_along(mesh, steps, torque.size)
-    pitch, first = 2.0 * np.pi / teeth, (2 * np.arange(solved) + 1) * teeth // (2 * solved)
-    nodes = pitch * (first[:, None] + np.linspace(0.0, 1.0, steps + 1)).ravel()
-    every = np.arange(teeth)
-    own, across = every * solved // teeth, np.zeros(teeth)
-    if blends:
-        own = np.searchsorted(first, every, side="right") - 1  # -1: the last
-        across = (every - first[own]) % teeth / ((np.roll(first, -1) - first) % teeth)[own]
-    place = np.mod(wave_generator_angle, 2.0 * np.pi) * (teeth / (2.0 * np.pi))
-    tooth = np.minimum(place.astype(np.int64), teeth - 1)
-    phase = (place - tooth) * steps
-    step = np.minimum(phase.astype(np.int64), steps - 1)
-    cell = (own % solved * steps)[tooth] + step
-    order = np.argsort(cell.astype(np.int32), kind="stable")
-    begin = np.searchsorted(cell[order], np.arange(solved * steps + 1))
-    turn, center, _ = moments(mesh, nodes)
-    where = (phase - step)[order], across[tooth[order]], np.exp(1j * wave_generator_angle[order])
-    found = np.empty((cell.size, 5 if mesh.geometry.sections == 1 else 7))
-    given = mesh.data, turn, center, complex(mesh.eccentricity), _BEYOND, steps, blends, begin
-    found[order] = kernel.entry.torsion_along(*given, *where, contiguous(torque[order]))
-    return found[:, -1], _with_compliance(mesh, torque, found[:, :-1])
+
+    mesh: Mesh
+    wave_generator_angle: Floats
+    low: float
+    high: float
+    steps: int
+
+    def covers(self, torque: Floats) -> bool:
+        """Whether it answers at torques (n,) [N m]."""
+        return bool(self.low <= np.min(torque, initial=math.inf)) and bool(
+            np.max(torque, initial=-math.inf) <= self.high
+        )
+
+    def __call__(self, torque: Floats) -> tuple[Floats, Floats]:
+        """Torsion (n,) [rad] and its derivatives (n, 7) at torques on the cup (n,) [N m]."""
+        order, where, pieces = self._samples
+        found = np.empty((order.size, 5 if self.mesh.geometry.sections == 1 else 7))
+        found[order] = kernel.entry.torsion_along(*where, *pieces, contiguous(torque[order]))
+        return found[:, -1], _with_compliance(self.mesh, torque, found[:, :-1])
+
+    @cached_property
+    def _samples(self) -> tuple[Integers, tuple[Any, ...], tuple[Any, ...]]:
+        """Samples sorted by their cells, where they are in these, and the solved nodes about them."""
+        mesh, steps, teeth = self.mesh, self.steps, self.mesh.geometry.circular_spline_teeth
+        solved, blends = teeth_along(mesh, steps, self.wave_generator_angle.size)
+        pitch, first = 2.0 * np.pi / teeth, (2 * np.arange(solved) + 1) * teeth // (2 * solved)
+        nodes = pitch * (first[:, None] + np.linspace(0.0, 1.0, steps + 1)).ravel()
+        every = np.arange(teeth)
+        own, across = every * solved // teeth, np.zeros(teeth)
+        if blends:
+            own = np.searchsorted(first, every, side="right") - 1  # -1: the last
+            across = (every - first[own]) % teeth / ((np.roll(first, -1) - first) % teeth)[own]
+        place = np.mod(self.wave_generator_angle, 2.0 * np.pi) * (teeth / (2.0 * np.pi))
+        tooth = np.minimum(place.astype(np.int64), teeth - 1)
+        phase = (place - tooth) * steps
+        step = np.minimum(phase.astype(np.int64), steps - 1)
+        cell = (own % solved * steps)[tooth] + step
+        order = np.argsort(cell.astype(np.int32), kind="stable")
+        begin = np.searchsorted(cell[order], np.arange(solved * steps + 1))
+        turn, center, _ = moments(mesh, nodes)
+        share, turned = (phase - step)[order], np.exp(1j * self.wave_generator_angle[order])
+        given = steps, blends, begin
+        pieces = kernel.entry.pieces_along(mesh.data, turn, center, *given, self.low, self.high)
+        fixed = complex(mesh.tilt), complex(mesh.eccentricity)
+        return order, (turn, *fixed, *given, share, across[tooth[order]], turned), pieces
+
+
+def torsion_along(
+    mesh: Mesh, wave_generator_angle: Floats, torque: Floats, steps: int
+) -> tuple[Floats, Floats]:
+    """:class:`TorsionAlong` at some torques."""
+    low, high = float(np.min(torque)) - BEYOND, float(np.max(torque)) + BEYOND
+    return TorsionAlong(mesh, wave_generator_angle, low, high, steps)(torque)
 
 
 def teeth_along(mesh: Mesh, steps: int, samples: int) -> tuple[int, bool]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cmath
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -81,6 +81,7 @@ _SIGNS[_SINGLE] = 1.0
 # Nodes of a pitch, from one section to many: these bear one after the other, and fewer are as exact.
 _STEPS_PER_TOOTH, _LEAST_STEPS = 4, 2
 _NODES_PAY = 1.5  # samples per node from which they do
+_MORE_TORQUE = 0.25  # of the rated torque: what causes may add before all is solved anew
 
 
 def warm_up() -> None:
@@ -314,6 +315,90 @@ def prior(configured: Drive) -> tuple[Floats, Floats]:
     return center, np.array([scale.prior for scale in SCALES[: center.size]])
 
 
+@dataclass(frozen=True)
+class DriveAlong:
+    """A drive along a record: its transmission error and derivatives by the parameters, at any torques.
+
+    They are exact where samples are few; else by :class:`hd_diag.model.torsion.TorsionAlong`, which is solved
+    once for all torques not far from those of the record.
+
+    Parameters
+    ----------
+    drive, configured : Drive
+    input_angle : ndarray, shape (n,)
+        [rad]
+    torque : ndarray, shape (n,)
+        Of the record [N m].
+    steps : int
+        Of a tooth's pitch; by default four in one section, three in three and two in five.
+    """
+
+    drive: Drive
+    configured: Drive
+    input_angle: Floats
+    torque: Floats
+    steps: int = 0
+
+    def __call__(self, torque: Floats) -> tuple[Floats, Floats, Floats]:
+        """At torques (n,) [N m].
+
+        Returns
+        -------
+        error : ndarray, shape (n,)
+            To 0.02 arcsec rms of a gear of ratio 100, to 0.1 of one of 50 [rad].
+        jacobian : ndarray, shape (n, p)
+            [rad] per unit, see :func:`units`.
+        slope : ndarray, shape (n,)
+            dTE/dT [rad/(N m)].
+        """
+        drive, configured = self.drive, self.configured
+        beta, gradient = self._torsion(drive.frame.cup_torque(torque))
+        by_x, by_y, by_datum, by_compliance, by_torque, *by_tilt = gradient.T
+        cosine, sine = self._direction
+        scale = -drive.frame.torque_sign * units(configured)
+        jacobian = np.empty((torque.size, scale.size))
+        jacobian[:, 0], jacobian[:, 1] = scale[0] * by_x, scale[1] * by_y
+        jacobian[:, 2] = scale[2] * (by_x * cosine + by_y * sine)
+        jacobian[:, 3] = scale[3] * (by_y * cosine - by_x * sine)
+        jacobian[:, DATUM] = scale[DATUM] * by_datum
+        jacobian[:, COMPLIANCE] = scale[COMPLIANCE] * configured.mesh.tooth_compliance * by_compliance
+        jacobian[:, CUP] = -np.abs(scale[CUP]) * torque
+        for index, column in zip(range(TILT.start, scale.size), by_tilt, strict=False):
+            jacobian[:, index] = scale[index] * column
+        return drive.frame.transmission_error(beta, torque), jacobian, -by_torque - drive.cup_compliance
+
+    def _torsion(self, torque: Floats) -> tuple[Floats, Floats]:
+        """And its derivatives, at torques on the cup (n,) [N m]."""
+        mesh, steps = self.drive.mesh, self._steps
+        if torque.size < _NODES_PAY * (steps + 1) * torsion.teeth_along(mesh, steps, torque.size)[0]:
+            return torsion.torsion_and_gradient(mesh, self._angle, torque)
+        if self._along.covers(torque):
+            return self._along(torque)
+        return torsion.torsion_along(mesh, self._angle, torque, steps)
+
+    @cached_property
+    def _along(self) -> torsion.TorsionAlong:
+        """Solved for torques about those of the record."""
+        torque = self.drive.frame.cup_torque(self.torque)
+        low, high = float(torque.min()), float(torque.max())
+        more = torsion.BEYOND + _MORE_TORQUE * self.configured.rated_torque
+        return torsion.TorsionAlong(self.drive.mesh, self._angle, low - more, high + more, self._steps)
+
+    @property
+    def _steps(self) -> int:
+        sections = self.drive.mesh.geometry.sections
+        return self.steps or max(_STEPS_PER_TOOTH - sections // 2, _LEAST_STEPS)
+
+    @cached_property
+    def _angle(self) -> Floats:
+        return self.drive.frame.wave_generator_angle(self.input_angle)
+
+    @cached_property
+    def _direction(self) -> tuple[Floats, Floats]:
+        """Cosine and sine of the wave generator's angle."""
+        return np.cos(self._angle), np.sin(self._angle)
+
+
 def along(
     drive: Drive,
     configured: Drive,
@@ -321,39 +406,8 @@ def along(
     torque: Floats,
     steps: int = 0,
 ) -> tuple[Floats, Floats, Floats]:
-    """Transmission error and its derivatives by the parameters, along a record.
-
-    They are exact where samples are few; else :func:`hd_diag.model.torsion.torsion_along` at `steps` of a
-    tooth's pitch, by default four in one section, three in three and two in five.
-
-    Returns
-    -------
-    error : ndarray, shape (n,)
-        To 0.02 arcsec rms of a gear of ratio 100, to 0.1 of one of 50 [rad].
-    jacobian : ndarray, shape (n, p)
-        [rad] per unit, see :func:`units`.
-    slope : ndarray, shape (n,)
-        dTE/dT [rad/(N m)].
-    """
-    geometry = drive.mesh.geometry
-    steps = steps or max(_STEPS_PER_TOOTH - geometry.sections // 2, _LEAST_STEPS)
-    angle = drive.frame.wave_generator_angle(input_angle)
-    given = drive.mesh, angle, drive.frame.cup_torque(torque)
-    few = angle.size < _NODES_PAY * (steps + 1) * torsion.teeth_along(drive.mesh, steps, angle.size)[0]
-    beta, gradient = torsion.torsion_and_gradient(*given) if few else torsion.torsion_along(*given, steps)
-    by_x, by_y, by_datum, by_compliance, by_torque, *by_tilt = gradient.T
-    cosine, sine = np.cos(angle), np.sin(angle)
-    scale = -drive.frame.torque_sign * units(configured)
-    jacobian = np.empty((angle.size, scale.size))
-    jacobian[:, 0], jacobian[:, 1] = scale[0] * by_x, scale[1] * by_y
-    jacobian[:, 2] = scale[2] * (by_x * cosine + by_y * sine)
-    jacobian[:, 3] = scale[3] * (by_y * cosine - by_x * sine)
-    jacobian[:, DATUM] = scale[DATUM] * by_datum
-    jacobian[:, COMPLIANCE] = scale[COMPLIANCE] * configured.mesh.tooth_compliance * by_compliance
-    jacobian[:, CUP] = -np.abs(scale[CUP]) * torque
-    for index, column in zip(range(TILT.start, scale.size), by_tilt, strict=False):
-        jacobian[:, index] = scale[index] * column
-    return drive.frame.transmission_error(beta, torque), jacobian, -by_torque - drive.cup_compliance
+    """:class:`DriveAlong` a record at its own torque."""
+    return DriveAlong(drive, configured, input_angle, torque, steps)(torque)
 
 
 def physical(parameters: Floats, covariance: Floats, configured: Drive) -> dict[str, dict[str, Any]]:

@@ -19,7 +19,6 @@ from hd_diag.effects.signals import Signals
 _STEEPEST = 1e-2  # [rad/(N m)], of a rated torque of 56 N m; no joint that bears is a hundredth as soft
 _SEPARABLE = 5e-3  # of the rated torque: changes of it within which derivatives are not told apart
 _NEAR = 0.02  # of the rated torque, the same of what a motor takes of its current's
-_STEP = 4e-3  # of the rated torque, by which the compliance is taken: a change of flanks is a step
 
 # Causes with their nonlinear values and coefficients.
 Torques = tuple[tuple[tuple[MeshTorque, Values], Floats], ...]
@@ -63,16 +62,15 @@ class MeshTorques:
     @cached_property
     def slope(self) -> Floats:
         """The model's derivative by the torque under it [rad/(N m)], shape (n,)."""
-        whole, nearby = self._whole, self._nearby
+        nearby = self._nearby
 
         def slope() -> Floats:
-            step = _STEP * whole.rated_torque
-            return (self._under(nearby.more + step) - self._under(nearby.more - step)) / (2.0 * step)
-
-        if nearby._none:
-            steep = whole.predicted_torque_slope  # without end in the gap between the flanks
+            steep = self._whole.predicted_torque_slope
+            if not nearby._none:
+                steep = self.model.slope(self.parameters, nearby.more)
             most = _STEEPEST * unit_scales(self.model.configured)["rad/(N m)"]
-            return np.where(np.abs(steep) < most, steep, 0.0)
+            return np.where(np.abs(steep) < most, steep, 0.0)  # without end in the gap between the flanks
+
         return self.model.kept.get((self.parameters.tobytes(), "slope", nearby.key), slope)
 
     @property

@@ -10,6 +10,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.fit.fit_parameters import DriveAlong
 from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.smoothing import smooth
@@ -25,6 +26,7 @@ from hd_diag.effects.signals import Signals
 _MOST_KEPT = 64 << 20  # bytes
 _ALIKE = 2.0  # in their units, by which parameters may differ whose teeth bear alike
 _KNOWN = 3  # parameters, for a search that goes back to them
+_SOLVED = 8  # the same, of which the model is solved for any torque: some megabytes each
 
 
 class AtParameters(NamedTuple):
@@ -52,6 +54,7 @@ class RecordModel:
     work: Work = field(default_factory=Work)
     _known: dict[bytes, AtParameters] = field(default_factory=dict, init=False)
     _near: dict[bytes, Floats] = field(default_factory=dict, init=False)
+    _solved: dict[bytes, DriveAlong] = field(default_factory=dict, init=False)
 
     @cached_property
     def kept(self) -> ArrayCache:
@@ -116,6 +119,10 @@ class RecordModel:
         """Transmission error at all rows (n,) [rad] under a torque more by a shift (n,) [N m]."""
         return self._along(parameters, self.record.torque + shift)[0]
 
+    def slope(self, parameters: Floats, shift: Floats) -> Floats:
+        """Derivative of the error by the torque at all rows (n,) [rad/(N m)] under such a torque."""
+        return self._along(parameters, self.record.torque + shift)[2]
+
     def secants(self, parameters: Floats, shift: Floats, reach: Floats) -> Floats:
         """As `derivatives`, on average over steps to both sides: columns of `reach` (p, p), in their units.
 
@@ -128,14 +135,22 @@ class RecordModel:
                 ends = (parameters + step, parameters - step)
                 high, low = (fit_parameters.admissible(end, self.configured) for end in ends)
                 self.work.check()
-                change = self._along(high, torque)[0] - self._along(low, torque)[0]
+                change = np.subtract(*(self._drive_along(end)(torque)[0] for end in (high, low)))
                 bent[:, number] = np.nan_to_num(change) - local @ (high - low)
         return np.asarray(local + bent @ np.linalg.pinv(2.0 * reach))
 
     def _along(self, parameters: Floats, torque: Floats) -> tuple[Floats, Floats, Floats]:
-        """As `fit_parameters.along`, at all rows under a torque (n,) [N m]."""
-        drive = fit_parameters.drive_of(parameters, self.configured)
-        return fit_parameters.along(drive, self.configured, self.record.input_angle, torque)
+        """As `fit_parameters.along`, at all rows under a torque (n,) [N m]; the latest are kept."""
+        known, key = self._solved, parameters.tobytes()
+        known[key] = known.pop(key) if key in known else self._drive_along(parameters)
+        while len(known) > _SOLVED:
+            del known[next(iter(known))]
+        return known[key](torque)
+
+    def _drive_along(self, parameters: Floats) -> DriveAlong:
+        """The model at some parameters, for any torques."""
+        drive, record = fit_parameters.drive_of(parameters, self.configured), self.record
+        return DriveAlong(drive, self.configured, record.input_angle, record.torque)
 
     def rate(self, values: Floats) -> Floats:
         """Derivative by time of values at all rows, run by run."""

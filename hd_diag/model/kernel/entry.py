@@ -111,48 +111,80 @@ def torsion_and_gradient(
 
 
 @entry_point
-def torsion_along(
+def pieces_along(
     mesh: MeshData,
     turn: Floats,
     eccentricity: Complexes,
+    steps: int,
+    blends: bool,
+    begin: Integers,
+    low: float,
+    high: float,
+) -> tuple[Integers, Floats, Floats]:
+    """Pieces of the torsion between two torques at every angle that :func:`torsion_along` has samples of.
+
+    Returns
+    -------
+    first : ndarray of int64, shape (angles + 1,)
+        Number of every angle's first piece: none where it has no samples, or the teeth cannot bear them.
+    torque, sums : ndarray, shape (pieces,) and (pieces, 8 or 12)
+        Where each begins, and the sums over its flanks.
+    """
+    work, room, nodes = scratch(mesh), pieces_room(mesh), turn.size
+    first, total = np.zeros(nodes + 1, np.int64), 0
+    torque, sums = np.empty(32 * nodes), np.empty((32 * nodes, room.sums.shape[1]))
+    for node in range(nodes):
+        size, tooth, step = 0, node // (steps + 1), node % (steps + 1)
+        for corner in range(4 if blends else 2):
+            start, end = samples_of(begin, tooth, step, steps, corner)
+            if start < end:
+                found = flanks(mesh, turn[node], eccentricity[node], work)
+                size = fill_pieces(work, mesh.compliance, found, low, high, room)
+                break
+        while total + size > torque.size:
+            torque, sums = np.concatenate((torque, torque)), np.concatenate((sums, sums))
+        for k in range(size):
+            torque[total + k], sums[total + k] = room.begin[k], room.sums[k]
+        total += size
+        first[node + 1] = total
+    return first, torque[:total].copy(), sums[:total].copy()
+
+
+@entry_point
+def torsion_along(
+    turn: Floats,
+    tilt: complex,
     fixed: complex,
-    beyond: float,
     steps: int,
     blends: bool,
     begin: Integers,
     share: Floats,
     across: Floats,
     turned: Complexes,
+    first: Integers,
+    piece: Floats,
+    sums: Floats,
     torque: Floats,
 ) -> Floats:
     """As of `torsion_and_gradient`, torsion last (n, 5 or 7), at places between angles.
 
-    Angles are all steps of one solved tooth after the other, samples those of one cell after the other: from
-    `begin` on, with so much of a step as `share`. Each is a whole number of teeth away, in the direction
-    `turned`: there what of the displacement is `fixed` in the housing, and the tilt, lie elsewhere in the
-    wave generator's frame. It follows by the gradient of its solved tooth, or where this `blends`, from that
-    and the next, so much of the way `across`.
+    Angles are all steps of one solved tooth after the other, with pieces from :func:`pieces_along`; samples
+    those of one cell after the other: from `begin` on, with so much of a step as `share`. Each is a whole
+    number of teeth away, in the direction `turned`: there what of the displacement is `fixed` in the housing,
+    and the `tilt`, lie elsewhere in the wave generator's frame. It follows by the gradient of its solved
+    tooth, or where this `blends`, from that and the next, so much of the way `across`.
     """
-    work, room, count = scratch(mesh), pieces_room(mesh), parameters(mesh)
+    count, nodes = (sums.shape[1] - 2) // 2, turn.size
     result, here = np.zeros((torque.size, count + 2)), np.empty(count + 2)
-    nodes, sides = turn.size, 2 if blends else 1
     for node in range(nodes):
         tooth, step = node // (steps + 1), node % (steps + 1)
-        low, high = math.inf, -math.inf
-        for corner in range(2 * sides):
-            first, last = samples_of(begin, tooth, step, steps, corner)
-            for i in range(first, last):
-                low, high = min(low, torque[i]), max(high, torque[i])
-        if low > high:
-            continue
-        found = flanks(mesh, turn[node], eccentricity[node], work)
-        size = fill_pieces(work, mesh.compliance, found, low - beyond, high + beyond, room)
+        own = piece[first[node] : first[node + 1]], sums[first[node] : first[node + 1]]
         there = direction(turn[node])
         after = direction(turn[(node + steps + 1) % nodes]) - there
         before = there - direction(turn[node - steps - 1])
-        for corner in range(2 * sides):
-            first, last = samples_of(begin, tooth, step, steps, corner)
-            for i in range(first, last):
+        for corner in range(4 if blends else 2):
+            start, end = samples_of(begin, tooth, step, steps, corner)
+            for i in range(start, end):
                 weight = share[i] if corner % 2 else 1.0 - share[i]
                 away = turned[i].conjugate() - there
                 # Half the gradients' difference along the way is what it bends: exact for a parabola.
@@ -162,10 +194,10 @@ def torsion_along(
                 else:
                     weight *= across[i]
                     away += 0.5 * (1.0 - across[i]) * before
-                here[:] = 0.0 if size else math.nan
-                if size:
-                    add(room, size, torque[i], weight, here)
-                here[-1] += carried(here, count, away * fixed, away * mesh.tilt)
+                here[:] = 0.0 if own[0].size else math.nan
+                if own[0].size:
+                    add(*own, torque[i], weight, here)
+                here[-1] += carried(here, count, away * fixed, away * tilt)
                 to_housing(here, count, turned[i])
                 for k in range(here.size):
                     result[i, k] += here[k]
@@ -221,4 +253,5 @@ def warm_up(gradient: bool) -> None:
         touches(mesh.constants, row, row)
         torsion_and_gradient(mesh, row, center, row)
         none = np.zeros(1, dtype=np.int64)
-        torsion_along(mesh, row, center, 0j, 0.0, 1, False, none, row, row, center, row)
+        pieces = pieces_along(mesh, row, center, 1, False, none, 0.0, 0.0)
+        torsion_along(row, 0j, 0j, 1, False, none, row, row, center, *pieces, row)

@@ -215,19 +215,20 @@ def fill_pieces(
 
 
 @part
-def add(room: Pieces, size: int, torque: float, weight: float, found: Floats) -> None:
+def add(begin: Floats, sums: Floats, torque: float, weight: float, found: Floats) -> None:
     """Add the weighted derivatives at a torque, by the parameters and by itself, then the torsion.
 
-    Between two pieces that meet it is the middle: that of a true gap at zero torque.
+    Of pieces (k,) that begin at some torques, with their sums (k, 8 or 12). Between two that meet it is the
+    middle: that of a true gap at zero torque.
     """
-    at, end = 0, size
+    at, end = 0, begin.size
     while end - at > 1:
         half = (at + end) // 2
-        at, end = (half, end) if room.begin[half] <= torque else (at, half)
-    if at > 0 and room.begin[at] == torque:
+        at, end = (half, end) if begin[half] <= torque else (at, half)
+    if at > 0 and begin[at] == torque:
         weight = 0.5 * weight
-        _add_piece(room.sums, at - 1, torque, weight, found)
-    _add_piece(room.sums, at, torque, weight, found)
+        _add_piece(sums, at - 1, torque, weight, found)
+    _add_piece(sums, at, torque, weight, found)
 
 
 @inline
