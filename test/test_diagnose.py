@@ -59,6 +59,13 @@ def test_a_cause_is_named_with_its_size_and_no_other(name: str, seed: int | None
     assert found.rms.nominal > found.rms.refit > found.rms.offline
 
 
+def test_what_cannot_be_told_from_a_cause_has_the_size_at_which_it_does_the_same() -> None:
+    (cause,) = diagnosis("output_runout").causes
+    ((other, coefficients),) = cause.others
+    assert {cause.effect.name, other.name} == {*cause.alike}
+    assert_allclose(coefficients[:2], cause.coefficients, rtol=0.05)
+
+
 def test_a_drift_of_every_recording_is_fitted_to_all_of_them() -> None:
     """It is no cause, as slow as noise may be, and changes no parameter; no model that runs has it."""
     parts, rng = [columns(12.0, 100.0, seed) for seed in range(4)], np.random.default_rng(3)

@@ -270,6 +270,16 @@ def test_the_friction_of_new_bearings_and_seals_is_usual(share: float, usual: bo
     assert as_json(diagnosis(sized), "joint_1")["causes"][0]["usual"] is usual
 
 
+@pytest.mark.parametrize(("share", "usual"), [(0.9, True), (1.2, False)])
+def test_what_cannot_be_told_from_usual_friction_is_usual(share: float, usual: bool) -> None:
+    other = cause("viscous_windup").effect
+    made = dataclasses.replace(
+        cause("stream_delay", alike=("viscous_windup",)),
+        others=((other, np.array([share * float(other.usual[0])])),),
+    )
+    assert as_json(diagnosis(made), "joint_1")["causes"][0]["usual"] is usual
+
+
 @pytest.mark.parametrize("reach", [24.0, 36.0])
 def test_a_loop_counts_as_far_as_the_record_runs_through_it(reach: float) -> None:
     made = dataclasses.replace(loop(40.0), reach=reach * ARCSEC)

@@ -51,7 +51,7 @@ class Rms:
     wanders of `offline`. `slow` and `gear` are what is left of means over turns of the input, and within
     these, over the noise [-]; `beyond` is the first over the fit's noise, slow noise included.
     Where a model with causes left more as it ran than the parameters alone, that is
-    `discarded`, and the first two are of the parameters alone.
+    `discarded`, less wandering, and the first two are of the parameters alone.
     """
 
     nominal: float
@@ -74,7 +74,7 @@ class Rms:
     def running(self, other: Rms) -> Rms:
         """With another model in the place of the one that ran, which is discarded."""
         own = {name: getattr(other, name) for name in ("named", "extended", "live", "wandering")}
-        return replace(self, **own, discarded=self.extended)
+        return replace(self, **own, discarded=self.foretellable)
 
     @property
     def left(self) -> float:

@@ -9,10 +9,12 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from hd_diag.arrays import Floats
 from hd_diag.diagnosis.accuracy import WHOLE_TURN, Accuracy, accuracy
 from hd_diag.diagnosis.calibration import ANOTHER, CERTAIN_SIZE, MISFIT, TWO_SIDED, USUAL_LOOP
 from hd_diag.diagnosis.diagnosis import Diagnosis, parameter_sizes
 from hd_diag.diagnosis.evidence.solution import Cause
+from hd_diag.effects.effect import Effect
 from hd_diag.formatting import ARCSEC, words
 
 Judgement = Literal["as_configured", "parameters", "causes", "described", "misfit", "not_judged"]
@@ -32,25 +34,38 @@ _USUAL = {
 }
 """Largest values that a new joint may have; of waves those of the first."""
 
+_LOOP = "hysteresis"
 _FRICTION = ("coulomb_windup", "viscous_windup")
 """Causes that are usual up to the effect's usual size: chosen, two per cent of the rated torque, 1 N m of a
 joint of 56 N m, as bearing and seals of a new one drag."""
 
 
 def is_usual(cause: Cause) -> bool:
-    """Whether a new joint may have it as large: all but what is beyond a usual size for certain."""
-    name = cause.effect.name
-    limit = float(cause.effect.usual[0]) if name in _FRICTION else _USUAL.get(name)
-    if limit is None:
-        return False
-    own = cause.coefficients[:2]
-    norm = 1 if name == "hysteresis" else 2  # both parts of a loop, or cosine and sine
+    """Whether a new joint may have it as large: all but what is beyond a usual size for certain.
+
+    Where the record cannot tell it from others, it is usual if any of these would be in its place.
+    """
+    value, spread = _size(cause.effect, cause.coefficients, cause.covariance)
+    certain = 1.0 - CERTAIN_SIZE * spread / max(value, 1e-300)
+    others = [(effect, _size(effect, own)[0]) for effect, own in cause.others]
+    for effect, own in ((cause.effect, value), *others):
+        limit = float(effect.usual[0]) if effect.name in _FRICTION else _USUAL.get(effect.name, -1.0)
+        # A loop may be wider beyond the torques of the record than in it.
+        shown = min(own, cause.reach) if effect.name == _LOOP else own
+        if shown * certain <= limit:
+            return True
+    return False
+
+
+def _size(effect: Effect, coefficients: Floats, covariance: Floats | None = None) -> tuple[float, float]:
+    """Size of a loop's both parts, or of a wave's cosine and sine; and its deviation."""
+    own = coefficients[:2]
+    norm = 1 if effect.name == _LOOP else 2
     value = float(np.linalg.norm(own, norm))
+    if covariance is None:
+        return value, 0.0
     way = np.sign(own) if norm == 1 else own / max(value, 1e-300)
-    spread = math.sqrt(max(float(way @ cause.covariance[: own.size, : own.size] @ way), 0.0))
-    # A loop may be wider beyond the torques of the record than in it.
-    shown = min(1.0, cause.reach / max(value, 1e-300)) if norm == 1 else 1.0
-    return shown * (value - CERTAIN_SIZE * spread) <= limit
+    return value, math.sqrt(max(float(way @ covariance[: own.size, : own.size] @ way), 0.0))
 
 
 class Limited(NamedTuple):

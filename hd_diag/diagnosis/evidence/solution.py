@@ -52,6 +52,8 @@ class Cause:
     shared : ndarray, shape (k,)
         By how much its coefficients change where slow remainders are as usual: what these have grown for may
         be its own, or it theirs. It is part of the covariance.
+    others : tuple of (Effect, coefficients)
+        Which causes this record cannot tell from it, at the sizes at which they do what it does.
     """
 
     effect: Effect
@@ -65,6 +67,7 @@ class Cause:
     gain_high: float = 0.0
     reach: float = math.inf
     shared: Floats = field(default_factory=lambda: np.zeros(0))
+    others: tuple[tuple[Effect, Floats], ...] = ()
 
     @property
     def alike(self) -> tuple[str, ...]:
@@ -178,11 +181,28 @@ def solution(best: Set, standings: dict[str, Standing], rng: np.random.Generator
                     gain_low=gains[1],
                     gain_high=gains[2],
                     shared=own,
+                    others=_others(fit, (effect, nonlinear), numbers.coefficients, standing.alike),
                 )
             )
     causes, given = tuple(sorted(found, key=lambda cause: -cause.gain)), (*terms, *best.given)
     larger = [effect.name for effect, _ in best.remainders.items if best.widths[effect.name] > 1.0]
     return Solution(fit, causes, given, functions=_functions(fit, chosen, larger))
+
+
+def _others(
+    fit: LinearisedFit, item: Item, coefficients: Floats, names: Collection[str]
+) -> tuple[tuple[Effect, Floats], ...]:
+    """Other causes by their names, with the coefficients at which they do most of what one of a fit does."""
+    found = []
+    part = fit.columns(*item)[:, : coefficients.size] @ coefficients
+    for effect in (one for one in fit.data.searched if one.name in names and one.name != item[0].name):
+        trials = []
+        for nonlinear in effect.starts(fit.signals, part).points:
+            columns = fit.columns(effect, nonlinear)[:, : effect.size]
+            own, *_ = np.linalg.lstsq(columns - columns.mean(axis=0), part - part.mean(), rcond=None)
+            trials.append((float(np.std(part - columns @ own)), own))
+        found.append((effect, min(trials, key=lambda one: one[0])[1]))
+    return tuple(found)
 
 
 def _shared(best: Set) -> dict[str, Floats]:
