@@ -20,6 +20,7 @@ from hd_diag.model.kernel.compiler import entry_point
 from hd_diag.model.load_sharing import flank_stiffness, mesh_state, torsion_of_flanks
 from hd_diag.model.mesh import Mesh
 from hd_diag.model.torsion import (
+    TorsionAlong,
     teeth_along,
     torsion,
     torsion_along,
@@ -246,6 +247,17 @@ def test_along_samples_a_displacement_is_carried_from_tooth_to_tooth(size: float
     for column, expected in zip(gradient.T[:5], slopes.T[:5], strict=True):
         assert column @ expected / (expected @ expected) == pytest.approx(1.0, abs=0.02)
         assert np.std(column - expected) < 0.2 * np.std(expected)
+
+
+def test_along_samples_it_is_solved_once_for_all_torques() -> None:
+    mesh, random = drives.mesh(drives.PAPER, (0.0, 4e-6), (1e-6, 2e-6)), np.random.default_rng(10)
+    turn, torque = random.uniform(0.0, 2.0 * np.pi, 500), random.uniform(-60.0, 60.0, 500)
+    solved = TorsionAlong(mesh, turn, -70.0, 70.0, 4)
+    for other in (torque, 0.5 * torque + 9.0):
+        assert solved.covers(other)
+        for found, expected in zip(solved(other), torsion_along(mesh, turn, other, 4), strict=True):
+            assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+    assert not solved.covers(torque + 20.0)
 
 
 def test_along_samples_it_is_nan_where_no_flank_bears_the_torque() -> None:
