@@ -505,6 +505,18 @@ def test_lines_of_an_output_encoder_are_a_multiple_of_four(signals: Signals) -> 
     assert not found(337.0) & {332.0, 336.0, 340.0}
 
 
+def test_an_encoder_s_lines_are_looked_for_where_samples_show_them(signals: Signals) -> None:
+    """Where the joint is fast 128 lines turn by a whole period a sample: an image of any constant."""
+    effect = EFFECTS["output_encoder_interpolation"]
+    speed = np.repeat([1.0, 100.0 * 2.0 * np.pi / 128.0 / 0.01], 4000)
+    turn = np.cumsum(speed) * 0.01 / 100.0
+    moved = at(signals, np.arange(8000) * 0.01, output_angle=turn, speed=speed)
+    shown = effect.shown(moved, effect.columns(moved, (128.0,)), (128.0,))
+    assert np.array_equal(np.any(shown != 0.0, axis=1), speed == 1.0)
+    rest = 1e-6 * np.cos(64.0 * turn) + np.where(speed > 1.0, 1e-4, 0.0)
+    assert effect.starts(moved, rest).points[0] == (64.0,)
+
+
 @pytest.mark.parametrize(
     ("name", "coefficients", "nonlinear", "itself"),
     [

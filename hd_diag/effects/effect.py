@@ -161,6 +161,13 @@ class Effect:
         """Columns that hold at a size, where they change with it (`own_slopes`)."""
         return self.columns(signals, nonlinear)
 
+    def shown(self, signals: Signals, columns: Floats, nonlinear: Values) -> Floats:
+        """Columns (n, k) that a record shows, where its samples are too far apart for some of them.
+
+        What they make of a wave is an image, which anything slow may look like.
+        """
+        return columns
+
     def carry(self, signals: Signals, added: Floats, coefficients: Floats, nonlinear: Values) -> Floats:
         """What it makes of what earlier stages add, beside that itself; nothing unless stated.
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hd_diag.arrays import Floats
-from hd_diag.effects.effect import Starts
+from hd_diag.effects.effect import Starts, Values
 from hd_diag.effects.excitation import Verdict, enough_input_turns, sample_interval, torque_known
 from hd_diag.effects.harmonic import Harmonic
 from hd_diag.effects.order_spectrum import integer_orders, peaks
@@ -47,10 +47,32 @@ class EncoderInterpolation(Harmonic):
             return Starts([(float(lines),) for lines in _USUAL if least <= lines <= highest], trials)
         if highest < least:
             return Starts([], trials)
-        strength = integer_orders(getattr(signals, self.angle), residual, highest)
+        strength = self._strength(signals, residual, highest)
         strength[:least] = 0.0
         best = self._lines(signals, strength)[:_CANDIDATES]
         return Starts([(float(order),) for order in best], trials)
+
+    def shown(self, signals: Signals, columns: Floats, nonlinear: Values) -> Floats:
+        """Columns (n, k), zero where a wave has fewer than two samples; see :meth:`Effect.shown`."""
+        lines = np.repeat(self.orders, 2) * nonlinear[0]
+        return columns * (self._phase_step(signals)[:, None] * lines < np.pi)
+
+    def _strength(self, signals: Signals, residual: Floats, highest: int) -> Floats:
+        """Of the whole orders from zero on [rad], each by the samples that show it, octave by octave."""
+        angle, step = getattr(signals, self.angle), self._phase_step(signals)
+        strength, high = np.zeros(highest + 1), highest
+        while high:
+            rows = step * high < np.pi
+            low = high // 2 if not rows.all() else 0
+            if rows.any():
+                own = integer_orders(angle[rows], residual[rows], high)
+                strength[low + 1 : high + 1] = np.sqrt(rows.mean()) * own[low + 1 :]
+            high = low
+        return strength
+
+    def _phase_step(self, signals: Signals) -> Floats:
+        """How far the angle turns from sample to sample (n,) [rad]."""
+        return np.asarray(np.abs(signals.speed) * (sample_interval(signals) / self._gear(signals)))
 
     def _lines(self, signals: Signals, strength: Floats) -> list[int]:
         """Orders that can be lines, the strongest first, without the side lobes of stronger orders.

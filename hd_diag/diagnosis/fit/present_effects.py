@@ -207,7 +207,7 @@ class PresentEffects:
 
         def of(seen: Signals) -> Floats:
             own = effect.columns(seen, nonlinear) if size is None else effect.slopes(seen, size, nonlinear)
-            return np.nan_to_num(own)
+            return effect.shown(seen, np.nan_to_num(own), nonlinear)
 
         def whole() -> Floats:
             seen = self._borne_roughly if effect.stage == Stage.GEAR else self._seen(effect.stage)
