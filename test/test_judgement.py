@@ -280,6 +280,12 @@ def test_what_cannot_be_told_from_usual_friction_is_usual(share: float, usual: b
     assert as_json(diagnosis(made), "joint_1")["causes"][0]["usual"] is usual
 
 
+def test_what_has_no_usual_size_is_never_usual_however_uncertain() -> None:
+    made = cause("torque_offset")
+    uncertain = dataclasses.replace(made, covariance=np.diag((9.0 * made.coefficients) ** 2))
+    assert as_json(diagnosis(uncertain), "joint_1")["causes"][0]["usual"] is False
+
+
 @pytest.mark.parametrize("reach", [24.0, 36.0])
 def test_a_loop_counts_as_far_as_the_record_runs_through_it(reach: float) -> None:
     made = dataclasses.replace(loop(40.0), reach=reach * ARCSEC)

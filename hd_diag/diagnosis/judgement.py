@@ -49,7 +49,7 @@ def is_usual(cause: Cause) -> bool:
     certain = 1.0 - CERTAIN_SIZE * spread / max(value, 1e-300)
     others = [(effect, _size(effect, own)[0]) for effect, own in cause.others]
     for effect, own in ((cause.effect, value), *others):
-        limit = float(effect.usual[0]) if effect.name in _FRICTION else _USUAL.get(effect.name, -1.0)
+        limit = float(effect.usual[0]) if effect.name in _FRICTION else _USUAL.get(effect.name, -math.inf)
         # A loop may be wider beyond the torques of the record than in it.
         shown = min(own, cause.reach) if effect.name == _LOOP else own
         if shown * certain <= limit:
