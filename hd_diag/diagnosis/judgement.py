@@ -26,15 +26,15 @@ Beside = Literal["within", "near", "beyond", "open"]
 """A value beside its limit: under it, over it, too near to it to tell which, or unknown."""
 
 
+_LOOP = "hysteresis"
 _USUAL = {
-    "hysteresis": 0.5 * USUAL_LOOP,  # to either side
+    _LOOP: 0.5 * USUAL_LOOP,  # to either side
     "input_encoder_eccentricity": 600.0 * ARCSEC,  # at the input: a resolver's data sheet allows 10 arcmin
     "output_encoder_eccentricity": 10.0 * ARCSEC,  # a disc of 100 mm that is mounted to 2.5 um
     "output_runout": 10.0 * ARCSEC,  # the same of a flange: no record tells them apart
 }
 """Largest values that a new joint may have; of waves those of the first."""
 
-_LOOP = "hysteresis"
 _FRICTION = ("coulomb_windup", "viscous_windup")
 """Causes that are usual up to the effect's usual size: chosen, two per cent of the rated torque, 1 N m of a
 joint of 56 N m, as bearing and seals of a new one drag."""
@@ -45,11 +45,12 @@ def is_usual(cause: Cause) -> bool:
 
     Where the record cannot tell it from others, it is usual if any of these would be in its place.
     """
-    value, spread = _size(cause.effect, cause.coefficients, cause.covariance)
+    value, way = _size(cause.effect, cause.coefficients)
+    spread = math.sqrt(max(float(way @ cause.covariance[: way.size, : way.size] @ way), 0.0))
     certain = 1.0 - CERTAIN_SIZE * spread / max(value, 1e-300)
-    others = [(effect, _size(effect, own)[0]) for effect, own in cause.others]
-    for effect, own in ((cause.effect, value), *others):
+    for effect, coefficients in ((cause.effect, cause.coefficients), *cause.others):
         limit = float(effect.usual[0]) if effect.name in _FRICTION else _USUAL.get(effect.name, -math.inf)
+        own, _ = _size(effect, coefficients)
         # A loop may be wider beyond the torques of the record than in it.
         shown = min(own, cause.reach) if effect.name == _LOOP else own
         if shown * certain <= limit:
@@ -57,15 +58,12 @@ def is_usual(cause: Cause) -> bool:
     return False
 
 
-def _size(effect: Effect, coefficients: Floats, covariance: Floats | None = None) -> tuple[float, float]:
-    """Size of a loop's both parts, or of a wave's cosine and sine; and its deviation."""
+def _size(effect: Effect, coefficients: Floats) -> tuple[float, Floats]:
+    """Size of a loop's both parts, or of a wave's cosine and sine; and its derivative by these."""
     own = coefficients[:2]
     norm = 1 if effect.name == _LOOP else 2
     value = float(np.linalg.norm(own, norm))
-    if covariance is None:
-        return value, 0.0
-    way = np.sign(own) if norm == 1 else own / max(value, 1e-300)
-    return value, math.sqrt(max(float(way @ covariance[: own.size, : own.size] @ way), 0.0))
+    return value, np.asarray(np.sign(own) if norm == 1 else own / max(value, 1e-300))
 
 
 class Limited(NamedTuple):

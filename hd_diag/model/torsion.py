@@ -70,7 +70,7 @@ def torsion_and_gradient(mesh: Mesh, wave_generator_angle: Floats, torque: Float
     return beta, _with_compliance(mesh, load, gradient)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TorsionAlong:
     """As :func:`torsion_and_gradient` along many samples, at any torques: solved at steps of some teeth only.
 

@@ -315,7 +315,7 @@ def prior(configured: Drive) -> tuple[Floats, Floats]:
     return center, np.array([scale.prior for scale in SCALES[: center.size]])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DriveAlong:
     """A drive along a record: its transmission error and derivatives by the parameters, at any torques.
 

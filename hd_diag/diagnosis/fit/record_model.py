@@ -26,14 +26,14 @@ from hd_diag.effects.signals import Signals
 _MOST_KEPT = 64 << 20  # bytes
 _ALIKE = 2.0  # in their units, by which parameters may differ whose teeth bear alike
 _KNOWN = 3  # parameters, for a search that goes back to them
-_SOLVED = 8  # the same, of which the model is solved for any torque: some megabytes each
 
 
 class AtParameters(NamedTuple):
-    """The model at some parameters along a record: its signals, and its derivatives (n, 7)."""
+    """The model at some parameters along a record: signals, derivatives (n, 7), and itself for any torque."""
 
     signals: Signals
     derivatives: Floats
+    along: DriveAlong
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,6 @@ class RecordModel:
     work: Work = field(default_factory=Work)
     _known: dict[bytes, AtParameters] = field(default_factory=dict, init=False)
     _near: dict[bytes, Floats] = field(default_factory=dict, init=False)
-    _solved: dict[bytes, DriveAlong] = field(default_factory=dict, init=False)
 
     @cached_property
     def kept(self) -> ArrayCache:
@@ -113,15 +112,15 @@ class RecordModel:
         """Of the model by its parameters at all rows, under a torque more by a shift (n,) [N m]; (n, 7)."""
         if not shift.any():
             return self.at(parameters).derivatives
-        return self._along(parameters, self.record.torque + shift)[1]
+        return self.at(parameters).along(self.record.torque + shift)[1]
 
     def error(self, parameters: Floats, shift: Floats) -> Floats:
         """Transmission error at all rows (n,) [rad] under a torque more by a shift (n,) [N m]."""
-        return self._along(parameters, self.record.torque + shift)[0]
+        return self.at(parameters).along(self.record.torque + shift)[0]
 
     def slope(self, parameters: Floats, shift: Floats) -> Floats:
         """Derivative of the error by the torque at all rows (n,) [rad/(N m)] under such a torque."""
-        return self._along(parameters, self.record.torque + shift)[2]
+        return self.at(parameters).along(self.record.torque + shift)[2]
 
     def secants(self, parameters: Floats, shift: Floats, reach: Floats) -> Floats:
         """As `derivatives`, on average over steps to both sides: columns of `reach` (p, p), in their units.
@@ -138,14 +137,6 @@ class RecordModel:
                 change = np.subtract(*(self._drive_along(end)(torque)[0] for end in (high, low)))
                 bent[:, number] = np.nan_to_num(change) - local @ (high - low)
         return np.asarray(local + bent @ np.linalg.pinv(2.0 * reach))
-
-    def _along(self, parameters: Floats, torque: Floats) -> tuple[Floats, Floats, Floats]:
-        """As `fit_parameters.along`, at all rows under a torque (n,) [N m]; the latest are kept."""
-        known, key = self._solved, parameters.tobytes()
-        known[key] = known.pop(key) if key in known else self._drive_along(parameters)
-        while len(known) > _SOLVED:
-            del known[next(iter(known))]
-        return known[key](torque)
 
     def _drive_along(self, parameters: Floats) -> DriveAlong:
         """The model at some parameters, for any torques."""
@@ -167,8 +158,9 @@ class RecordModel:
 
     def _at(self, parameters: Floats) -> AtParameters:
         self.work.check()
-        record, drive = self.record, fit_parameters.drive_of(parameters, self.configured)
-        error, derivatives, slope = self._along(parameters, record.torque)
+        record, along = self.record, self._drive_along(parameters)
+        drive = along.drive
+        error, derivatives, slope = along(record.torque)
         angle = drive.frame.wave_generator_angle(record.input_angle)
         reported = 0.0 if record.taken is None else float(np.max(np.abs(record.by_sensor)))
         torsion = -drive.frame.torque_sign * (error + drive.cup_compliance * record.torque)
@@ -185,4 +177,4 @@ class RecordModel:
             predicted_rate=self.rate(error),
             contact=contact_weights(drive, angle, record.torque, torsion, reported),
         )
-        return AtParameters(signals, derivatives)
+        return AtParameters(signals, derivatives, along)
