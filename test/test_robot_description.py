@@ -14,7 +14,7 @@ from joint_records import columns
 from robot_messages import DYNAMIC, START, Messages
 
 from hd_diag.bag import BagReader, BagWriter
-from hd_diag.config.configuration import dump, resolve
+from hd_diag.config.configuration import dump, load, resolve
 from hd_diag.records.robot_description import Transmission, contradictions, transmissions
 
 URDF = """<robot name="arm"><joint name="elbow" type="revolute"/>
@@ -126,7 +126,10 @@ def test_the_bag_s_own_description_gives_the_ratio(bag: Path, tmp_path: Path) ->
 
 
 def test_ratios_that_contradict_are_warnings(bag: Path, tmp_path: Path) -> None:
-    """The angles and the configuration, each against a description that has another ratio."""
+    """The angles and the configuration, each against a description that has another ratio.
+
+    What the angles have is to paste, and the check of a configuration takes it.
+    """
     file, config = tmp_path / "arm.urdf", tmp_path / "arm.yaml"
     file.write_text(CONTROL.format(160))
     config.write_text(dump(resolve({"joints": ["elbow", "roll"], "roll.ratio": 100.0})))
@@ -136,7 +139,23 @@ def test_ratios_that_contradict_are_warnings(bag: Path, tmp_path: Path) -> None:
     assert other == "elbow: ratio 100 is configured, the robot's description has 160"
     assert all(f"warning: {each}" in told for each in (one, other))
     assert found["description"]["unseen"] == ["roll", "pitch"]
-    assert "ratio: 160.0" in found["mapping"]
+    assert f"# {one}\n" in found["mapping"]
+    config.write_text(found["mapping"])
+    assert load(config).joints[0].drive.kinematics.ratio == 100.0
+
+
+def test_what_the_check_of_a_configuration_asks_for_stands_above_what_is_to_paste(tmp_path: Path) -> None:
+    """Of a ratio that the angles and the description agree on, and that the example drive's teeth have not."""
+    plain, file = tmp_path / "a.mcap", tmp_path / "arm.urdf"
+    given = columns(seconds=6.0)
+    given["output"] = given["output"] / 1.6
+    messages = Messages(DYNAMIC)
+    messages.write(plain, "/d", robots.dynamic_states(messages, given))
+    file.write_text(URDF.format(160))
+    found, _ = asked(tmp_path, plain, "--urdf", file)
+    first, *rest = found["mapping"].splitlines()
+    assert first.startswith("# to be completed: elbow: ratio 160 does not fit 200 and 202 teeth")
+    assert "ratio: 160.0" in rest[-1]
 
 
 @pytest.mark.parametrize(("ratio", "told"), [(100.0, 0), (100.4, 0), (-100.0, 1), (101.5, 1)])

@@ -16,11 +16,11 @@ from hd_diag.bag.block import Topic
 from hd_diag.bag.reader import BagReader
 from hd_diag.cli.lines import show, tell
 from hd_diag.cli.targets import Problem, write_json
-from hd_diag.config.configuration import JointConfig, load
+from hd_diag.config.configuration import JointConfig, load, resolve
 from hd_diag.config.configured_signals import OWNERS
 from hd_diag.config.json_shape import read_text
 from hd_diag.config.parameter_file import text
-from hd_diag.config.parameters import Value
+from hd_diag.config.parameters import ConfigError, Value
 from hd_diag.diagnosis.record import RecordError
 from hd_diag.formatting import listed, visible
 from hd_diag.formatting import number as figure
@@ -86,7 +86,7 @@ def _of_bag(bag: Path, urdf: Path | None, joints: Sequence[JointConfig]) -> dict
         seen += [(topic, Contents([], topic.content, {})) for topic in reader.foreign]
         result = _result(str(reader.path), reader.duration, reader.problems, seen)
         _describe(result, *_described(reader, urdf), joints)
-    return result | {"mapping": _mapping(result["joints"])}
+    return result | {"mapping": _mapping(result["joints"], result["description"]["contested"])}
 
 
 def _result(
@@ -103,16 +103,21 @@ def _result(
         "problems": problems,
         "topics": [_topic(duration, *each) for each in seen],
         "joints": joints,
-        "description": {"source": "", "unseen": [], "warnings": []},
+        "description": {"source": "", "unseen": [], "contested": [], "warnings": []},
     }
 
 
-def _mapping(joints: list[dict[str, Any]]) -> str:
-    """Text of a parameter file."""
+def _mapping(joints: list[dict[str, Any]], contested: list[str]) -> str:
+    """Text of a parameter file; above it what contradicts it, and what the check of a file asks for beside."""
     flat: dict[str, Value] = {"joints": [joint["name"] for joint in joints]}
     for joint in joints:
         flat |= {f"{joint['name']}.{name}": value for name, value in joint["mapping"].items()}
-    return text(flat) if joints else ""
+    remarks = [*contested]
+    try:
+        resolve(flat)
+    except ConfigError as error:
+        remarks.append(f"to be completed: {error}")
+    return "".join(f"# {visible(each)}\n" for each in remarks) + text(flat) if joints else ""
 
 
 def _described(reader: BagReader, urdf: Path | None) -> tuple[str, list[Transmission], list[str]]:
@@ -137,8 +142,11 @@ def _describe(
     problems: list[str],
     configured: Sequence[JointConfig],
 ) -> None:
-    """Add the joints' ratios from a description, and where they contradict what is known."""
-    ratios, warnings = {each.joint: each for each in found}, [*problems]
+    """Add the joints' ratios from a description, and where they contradict what is known.
+
+    Where the angles have another ratio, theirs stands.
+    """
+    ratios, contested = {each.joint: each for each in found}, []
     for joint in result["joints"]:
         each = ratios.get(joint["tag"]) or ratios.get(joint["name"])
         if each is None:
@@ -147,15 +155,17 @@ def _describe(
         joint["said"] += f"; the description says {each.ratio:g}"
         slope = joint["slope"]
         if slope is not None and abs(slope - each.ratio) > _DIFFERS * abs(slope):
+            joint["mapping"]["ratio"] = float(round(slope))
             told = f"the angles have a ratio of {slope:.4g}, the robot's description has {each.ratio:g}"
-            warnings.append(f"{joint['name']}: {told}")
+            contested.append(f"{joint['name']}: {told}")
     known = {joint["tag"] for joint in result["joints"]} | {joint["name"] for joint in result["joints"]}
     unseen = [each for each in found if each.joint not in known]
     result["description"] = {
         "source": source,
         "transmissions": [each._asdict() for each in found],
         "unseen": [each.joint for each in unseen],
-        "warnings": warnings + contradictions(found, configured),
+        "contested": contested,
+        "warnings": problems + contested + contradictions(found, configured),
     }
 
 
