@@ -145,7 +145,7 @@ def test_ratios_that_contradict_are_warnings(bag: Path, tmp_path: Path) -> None:
 
 
 def test_what_the_check_of_a_configuration_asks_for_stands_above_what_is_to_paste(tmp_path: Path) -> None:
-    """Of a ratio that the angles and the description agree on, and that the example drive's teeth have not."""
+    """Of a ratio of the angles and the description that the example drive's teeth have not."""
     plain, file = tmp_path / "a.mcap", tmp_path / "arm.urdf"
     given = columns(seconds=6.0)
     given["output"] = given["output"] / 1.6

@@ -108,7 +108,7 @@ def _result(
 
 
 def _mapping(joints: list[dict[str, Any]], contested: list[str]) -> str:
-    """Text of a parameter file; above it what contradicts it, and what the check of a file asks for beside."""
+    """Text of a parameter file; above it what contradicts it, and what the check of one asks for beside."""
     flat: dict[str, Value] = {"joints": [joint["name"] for joint in joints]}
     for joint in joints:
         flat |= {f"{joint['name']}.{name}": value for name, value in joint["mapping"].items()}
