@@ -2,6 +2,7 @@ import errno
 import os
 import random
 import re
+import resource
 import signal
 import subprocess
 import sys
@@ -168,6 +169,17 @@ def test_metadata_yaml_of_a_folder(tmp_path):
     assert topic["topic_metadata"]["offered_qos_profiles"][0]["durability"] == "volatile"
     with AnyReader([tmp_path / "bag"]) as reader:
         assert reader.message_count == 200
+
+
+def test_of_metadata_that_a_disk_does_not_take_no_draft_is_left(tmp_path):
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (200, before[1]))
+    try:
+        with pytest.raises(BagError, match="File too large"):
+            BagWriter(tmp_path / "bag")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert [*(tmp_path / "bag").iterdir()] == []
 
 
 def test_overwrite_replaces_the_bag_and_nothing_else(tmp_path):

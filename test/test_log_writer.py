@@ -97,7 +97,10 @@ def test_nothing_is_written_through_a_link(tmp_path: Path, planted: str) -> None
 
 @pytest.mark.parametrize("name", ["log.mcap", "folder"])
 def test_a_second_writer_takes_nothing_away(tmp_path: Path, name: str, clock: list[float]) -> None:
-    """Not the files that are finished, not the one that is written, and not when the first has ended."""
+    """Not the files that are finished, not the one that is written, and not when the first has ended.
+
+    It says why at each attempt.
+    """
     config = LogConfig(str(tmp_path / name), split_duration=1e-8, overwrite=True)
     first, second = LogWriter(config), LogWriter(config)
     assert first.state == f"writing {tmp_path / name}"
@@ -105,6 +108,7 @@ def test_a_second_writer_takes_nothing_away(tmp_path: Path, name: str, clock: li
     fill(first, count=30)
     clock[0] += 2.0
     assert not second.flush_if_due()
+    assert "is being written by another process" in second.state
     fill(first, 30, 30)
     third = LogWriter(config)
     first.close()

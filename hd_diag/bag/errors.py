@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 
 from hd_diag.formatting import visible
 
+_TAKEN = "is being written by another process"
 _LONGEST = 300  # characters of a path or a cause: names in a bag may be hostile
 
 
@@ -57,11 +58,7 @@ def replaced(path: str | os.PathLike[str], *, overwrite: bool) -> Iterator[Path]
         yield place
         return
     try:
-        old = place.resolve()
-        for file in [old] if old.is_file() else bag_files(old):
-            with file.open("rb") as opened:
-                if is_locked(opened.fileno()):
-                    raise BagError(file, "is being written by another process")
+        check_not_written(old := place.resolve())
         with TemporaryDirectory(prefix=f".{old.name}.", dir=old.parent) as folder:
             # The name decides between file and folder, and a folder's names its files.
             draft = Path(folder) / (place.name if old.is_file() else old.name)
@@ -74,6 +71,25 @@ def replaced(path: str | os.PathLike[str], *, overwrite: bool) -> Iterator[Path]
             _put_in_place(draft, old)
     except OSError as exc:
         raise BagError(place, exc) from exc
+
+
+def check_not_written(bag: Path) -> None:
+    """Raise BagError for a bag that a writer of this package holds; OSError where it cannot be looked at."""
+    for file in [bag] if bag.is_file() else bag_files(bag):
+        with file.open("rb") as opened:
+            if is_locked(opened.fileno()):
+                raise BagError(bag, _TAKEN)
+
+
+def taken(bag: Path) -> BagError:
+    """Why a bag cannot be begun in a place: somebody writes there, or has written."""
+    try:
+        check_not_written(bag)
+    except BagError as error:
+        return error
+    except OSError:
+        pass
+    return BagError(bag, "exists already")
 
 
 def bag_files(folder: Path) -> list[Path]:
@@ -113,7 +129,7 @@ def lock(fd: int, path: Path) -> None:
     try:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as exc:
-        raise BagError(path, "is being written by another process") from exc
+        raise BagError(path, _TAKEN) from exc
 
 
 def is_locked(fd: int) -> bool:

@@ -62,9 +62,14 @@ class Place:
         if self.is_folder:
             draft = self.path / "metadata.yaml.tmp"
             draft.unlink(missing_ok=True)
-            with draft.open("x", encoding="utf-8") as file:  # never what a link leads to
-                file.write(dump_yaml({"rosbag2_bagfile_information": information}))
-            draft.replace(self.path / "metadata.yaml")
+            try:
+                with draft.open("x", encoding="utf-8") as file:  # never what a link leads to
+                    file.write(dump_yaml({"rosbag2_bagfile_information": information}))
+                draft.replace(self.path / "metadata.yaml")
+            except BaseException:
+                with suppress(OSError):
+                    draft.unlink(missing_ok=True)
+                raise
 
     def release(self) -> None:
         """Let others write here."""

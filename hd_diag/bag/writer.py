@@ -15,7 +15,7 @@ from rosbags.interfaces import Qos
 
 from hd_diag.arrays import Bytes, Times
 from hd_diag.bag.block import LongMessage
-from hd_diag.bag.errors import BagError
+from hd_diag.bag.errors import BagError, taken
 from hd_diag.bag.mcap_file import COMPRESSIONS, McapFile, Stream, Written
 from hd_diag.bag.place import Disk, Place
 from hd_diag.bag.rosbag2 import dump_yaml, metadata, written
@@ -334,7 +334,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         """The error as BagError; it ends the writing."""
         if not isinstance(exc, BagError):
             path = exc.filename or (self.paths or [self.path])[-1]
-            exc = BagError(path, "exists already" if isinstance(exc, FileExistsError) else exc)
+            exc = taken(Path(path)) if isinstance(exc, FileExistsError) else BagError(path, exc)
         self.error = self.error or exc
         if not self._files:
             self._place.release()
