@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from live import MS, START, parameters, sample
 from logs import content
-from running import Rig, children, feed, running, stamp_of, values_of
+from running import LIMIT, Rig, children, feed, running, stamp_of, values_of
 
 pytestmark = pytest.mark.usefixtures("ros")
 
@@ -130,7 +130,16 @@ def test_it_diagnoses_a_fault_once_with_what_was_before_and_after(tmp_path: Path
     assert held == 180 or (not were_in_time and 150 <= held < 180)  # a busy machine may be late with the last
 
 
+def is_alive(pid: int) -> bool:
+    """Whether a process works: one that nobody has waited for yet does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except OSError:
+        return False
+
+
 def test_a_fault_that_begins_beside_a_diagnosis_has_the_next(tmp_path: Path) -> None:
+    """It ends with the node, also where that is killed."""
     own = {"path": str(tmp_path / "log"), "mode": "snapshot", "after": 0.1, "topics": "inputs"}
     given = parameters(diagnostics_rate=20.0, **PATIENT, **{f"log__{name}": v for name, v in own.items()})
     with running(tmp_path, given | {"diagnose.on_fault": True}) as rig:
@@ -146,4 +155,11 @@ def test_a_fault_that_begins_beside_a_diagnosis_has_the_next(tmp_path: Path) -> 
         os.kill(child, signal.SIGKILL)
         rig.until(lambda: {*children(pid, b"diagnose")} - {child}, "process of the fault's diagnosis")
         assert len(parameter_files(tmp_path)) == 2
-        assert rig.process.end() == 0
+        (child,) = children(pid, b"diagnose")
+        rig.process.end(signal.SIGKILL)
+    end = time.monotonic() + LIMIT
+    while is_alive(child):
+        assert time.monotonic() < end, "the diagnosis lives on"
+        time.sleep(0.05)
+    last = parameter_files(tmp_path)[-1].with_suffix(".txt")
+    assert last.read_text() in ("", "hd-diag: interrupted\n")  # it has not come to its end

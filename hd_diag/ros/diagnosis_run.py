@@ -19,7 +19,8 @@ from hd_diag.config import parameter_file
 from hd_diag.config.configuration import Config
 from hd_diag.formatting import visible
 
-_NICE = ("nice", "-n", "19")  # least priority: samples come first
+# Least priority: samples come first. The system ends it where the node is killed and cannot.
+_BENEATH = ("nice", "-n", "19", "setpriv", "--pdeathsig", "TERM")
 _ENDINGS = (".json", ".html", ".txt")  # of the verdict, the page, and what the command said
 _PATIENCE = 5.0  # for a process that is told to end [s]
 _LONGEST = 500  # characters of a verdict or a reason
@@ -95,7 +96,7 @@ class DiagnosisRun:
         own.write_text(_configuration(stem, config), encoding="utf-8")
         self._keep([own])
         places = [str(stem.with_name(f"{stem.name}{ending}")) for ending in _ENDINGS]
-        command = [*_NICE, sys.executable, "-m", "hd_diag", "diagnose", *map(str, files)]
+        command = [*_BENEATH, sys.executable, "-m", "hd_diag", "diagnose", *map(str, files)]
         options = ["--config", str(own), "--json", places[0], "--report", places[1]]
         with open(places[2], "wb") as said:
             self._process = subprocess.Popen(
