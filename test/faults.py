@@ -289,6 +289,10 @@ an old log that cannot be deleted | node | LOG_FAILED, which hides no fault of a
     test_log_retention.py::test_a_file_that_cannot_be_deleted_is_told
 a fault of a joint that begins | node | with `log.mode: snapshot` the minutes before it are written
     test_node_recording.py::test_a_snapshot_holds_what_was_before_it_and_replays
+a fault that comes back soon | node | no other snapshot, no other diagnosis
+    test_node_diagnosis.py::test_it_diagnoses_a_fault_once_with_what_was_before_and_after
+a node that is killed beside a diagnosis | node | the diagnosis ends too
+    test_node_diagnosis.py::test_a_fault_that_begins_beside_a_diagnosis_has_the_next
 a diagnosis that is killed | node | told in `diagnosis_state`; the node lives
     test_node_recording.py::test_diagnoses_that_are_killed_or_outlived
 a bit of the journal flipped | fleet | told; that result is judged again

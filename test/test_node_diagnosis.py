@@ -91,40 +91,63 @@ def test_a_call_is_answered_where_the_log_never_began(tmp_path: Path) -> None:
 
 
 def test_it_diagnoses_a_fault_once_with_what_was_before_and_after(tmp_path: Path) -> None:
-    """Only if asked to, which can be changed meanwhile; not before the snapshot has its end."""
+    """Only if asked to, which can be changed meanwhile; not before the snapshot has its end.
+
+    One that comes back is the same, a silence is nothing to diagnose. The node's output has them all.
+    """
     log = tmp_path / "log"
     own = {"path": str(log), "mode": "snapshot", "before": 60.0, "after": AFTER, "topics": "inputs"}
     given = parameters(diagnostics_rate=20.0, **PATIENT, **{f"log__{name}": v for name, v in own.items()})
     with running(tmp_path, given) as rig:
         publisher, stamps = rig.publisher(), itertools.count(START, 10 * MS)
 
-        def fault(sent: int) -> float:
+        def fault(code: str, sent: int, **cause: float) -> float:
             """One that begins after so many samples; when the node first told it [s since 1970]."""
             feed(publisher, stamps, sent, 100.0)
             seen = len(rig.reports)
-            assert rig.set(joint_1__eccentricity__magnitude=60e-6)[0].successful
-            rig.values("joint_1", lambda values: "INTERFERENCE" in values["fault_codes"])
+            assert rig.set(**{f"joint_1__{name}": value for name, value in cause.items()})[0].successful
+            rig.values("joint_1", lambda values: code in values["fault_codes"])
             codes = [values_of(array.status[0])["fault_codes"] for array in rig.reports]
-            return reported(rig, next(n for n in range(seen, len(codes)) if "INTERFERENCE" in codes[n]))
+            return reported(rig, next(n for n in range(seen, len(codes)) if code in codes[n]))
 
-        fault(100)
-        rig.values("joint_1", lambda values: values["log_state"].startswith("writing"))
-        rig.values("joint_1", lambda values: values["log_state"].startswith("keeping"))
+        def gone(code: str, **cause: float) -> None:
+            assert rig.set(**{f"joint_1__{name}": value for name, value in cause.items()})[0].successful
+            rig.values("joint_1", lambda values: code not in values["fault_codes"])
+
+        def snapshot() -> None:
+            rig.values("joint_1", lambda values: values["log_state"].startswith("writing"))
+            rig.values("joint_1", lambda values: values["log_state"].startswith("keeping"))
+
+        fault("INTERFERENCE", 100, eccentricity__magnitude=60e-6)
+        snapshot()
         assert (states(rig), parameter_files(tmp_path)) == ({"none"}, [])
-        assert rig.set(diagnose__on_fault=True, joint_1__eccentricity__magnitude=0.0)[1].successful
-        rig.values("joint_1", lambda values: "INTERFERENCE" not in values["fault_codes"])
+        assert rig.set(diagnose__on_fault=True)[0].successful
+        gone("INTERFERENCE", eccentricity__magnitude=0.0)
 
-        begin = fault(150)
+        begin = fault("OUT_OF_RANGE", 150, limits__torque__warn=0.01)
         feed(publisher, stamps, 30, 1000.0)
         were_in_time = time.time() - begin < 0.5 * AFTER
         (child,) = rig.until(lambda: children(rig.process.popen.pid, b"diagnose"), "process")
         os.kill(child, signal.SIGKILL)
         rig.values("joint_1", lambda values: values["diagnosis_state"] == "failed: was ended by SIGKILL")
         feed(publisher, stamps, 50, 100.0)  # the fault goes on
-        assert "INTERFERENCE" in rig.values("joint_1")["fault_codes"]
+        assert "OUT_OF_RANGE" in rig.values("joint_1")["fault_codes"]
         (begun,) = (file.stat().st_mtime for file in parameter_files(tmp_path))
         assert begun - begin > AFTER - TICK
+
+        gone("OUT_OF_RANGE", limits__torque__warn=2.0)
+        fault("OUT_OF_RANGE", 20, limits__torque__warn=0.01)
+        fault("INTERFERENCE", 20, eccentricity__magnitude=60e-6)
+        assert rig.values("joint_1")["log_state"].startswith("keeping")
+        assert len([*log.iterdir()]) == 2
+        fault("STALE", 0, limits__silence__warn=0.2)
+        snapshot()
+        assert len([*log.iterdir()]) == 3
+        assert len(parameter_files(tmp_path)) == 1
         assert {"none", "waits", "diagnoses", "failed"} >= states(rig) >= {"waits", "failed"}
+        said = [line for line in rig.process.output().splitlines() if "joint_1: " in line]
+        for level, code in (("ERROR", "INTERFERENCE: the lobes"), ("WARN", "OUT_OF_RANGE: torque is 0.02")):
+            assert any(line.startswith(f"[{level}]") and f": joint_1: {code}" in line for line in said)
     (bag,) = {file.parent for file in parameter_files(tmp_path)}
     held = len(content(bag)[f"{rig.process.namespace}/joint_states"])
     assert held == 180 or (not were_in_time and 150 <= held < 180)  # a busy machine may be late with the last

@@ -122,7 +122,12 @@ def test_it_diagnoses_without_losing_a_sample(rig: Rig, player: Player) -> None:
     stem = asked[1].removesuffix(".json")
     result = json.loads(Path(asked[1]).read_text())
     assert result["schema"] == "hd_diag/diagnosis/1"
-    assert "<html" in Path(f"{stem}.html").read_text()
+    assert result["report"] == f"{stem}.html"
+    assert "<html" in Path(result["report"]).read_text()
+    for each in result["files"]:  # times as in the log
+        with BagReader(each["path"]) as reader:
+            assert (each["from"], each["to"]) == pytest.approx((reader.start * 1e-9, reader.end * 1e-9))
+    assert max(each["to"] for each in result["files"]) == pytest.approx(time.time(), abs=PATIENCE)
     assert " ".join(result["verdict"].split()).startswith(values["verdict"].removesuffix("…"))
     assert len(values["verdict"]) > 100
     assert values["verdict_time"].startswith(time.strftime("%Y-"))

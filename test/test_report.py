@@ -430,7 +430,7 @@ def test_a_bag_without_output_gets_the_model_s_side(tmp_path: Path) -> None:
 def test_both_verbs_write_what_they_say(
     monkeypatch: pytest.MonkeyPatch, undrawn: None, tmp_path: Path
 ) -> None:
-    """Of a bag or a table, which give the same record; both write the same JSON."""
+    """Of a bag or a table, which give the same record; both write the same JSON, but for the file."""
     asked = known_to_the_command_line(monkeypatch, "output_runout")
     bag, table, out = (tmp_path / name for name in ("j.mcap", "bench.csv", "a.html"))
     records.write_bag(made("output_runout"), bag)
@@ -444,7 +444,12 @@ def test_both_verbs_write_what_they_say(
     names = ("--columns", "time=time,input=input,output=output,torque=torque,temperature=temperature")
     result = hd_diag("report", table, *names, "--out", out, "--json", "-")
     assert (result.exit_code, result.stderr) == (0, f"report written: {out}\n{ASSUMED}")
-    assert (json.loads(result.stdout), out.read_text()) == (told, "a page, which takes its time")
+    again = json.loads(result.stdout)
+    (one,), (other,) = told.pop("files"), again.pop("files")
+    assert other == {"path": str(table), "from": None, "to": None}
+    assert (one["path"], one["to"] - one["from"]) == (str(bag), pytest.approx(made("output_runout").time[-1]))
+    assert (again, out.read_text()) == (told, "a page, which takes its time")
+    assert told["report"] == str(out)
     (from_bag, _), (from_table, _) = asked
     assert from_bag.size == made("output_runout").time.size
     assert_allclose(from_bag.input_angle, from_table.input_angle)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from hd_diag.bag.reader import BagReader
 from hd_diag.cli.joints import chosen_joints, configured, tell_assumed
 from hd_diag.cli.lines import tell
 from hd_diag.cli.progress import Advance
@@ -168,15 +169,27 @@ def judge_each(
         pages += [page] if page is not None else []
         for line in lines if json_file != "-" else ():
             tell(f"{joint.name}: {line}")
-    if page_file is not None and pages:
+    written = page_file if pages else None
+    if written is not None:
         from hd_diag.report.page import page as drawn  # here, because matplotlib takes its time
 
-        with writing(page_file) as place:
+        with writing(written) as place:
             place.write_text(drawn(pages, sources(records.bags)), encoding="utf-8")
-        tell(f"report written: {page_file}", err=json_file == "-")
+        tell(f"report written: {written}", err=json_file == "-")
     several = {"schema": "hd_diag/diagnoses/1", "joints": contents}
-    write_json(json_file, contents[0] if len(contents) == 1 else several)
+    result = contents[0] if len(contents) == 1 else several
+    files = [_span(bag, records.table is None) for bag in records.bags] if json_file else []
+    write_json(json_file, result | {"files": files, "report": written and str(written.absolute())})
     return contents, 0 if complete else Problem.exit_code
+
+
+def _span(path: Path, is_bag: bool) -> dict[str, Any]:
+    """A file with the times of its first and last message in the log [s since 1970]; a table has none."""
+    begin = end = math.nan
+    if is_bag:
+        with BagReader(path) as reader:
+            begin, end = 1e-9 * reader.start, 1e-9 * reader.end
+    return {"path": str(path.absolute()), "from": begin, "to": end}
 
 
 def not_judged(joint: str, error: Exception) -> dict[str, Any]:

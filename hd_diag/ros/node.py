@@ -39,6 +39,7 @@ from hd_diag.replay.preparation import compile_apart, prepare
 from hd_diag.replay.recorded_monitor import Session
 from hd_diag.ros.absences import absences
 from hd_diag.ros.arguments import check_arguments, parameter_files, read_in_every_namespace, reason, unread
+from hd_diag.ros.faults import Console
 from hd_diag.ros.log_writer import LogWriter
 from hd_diag.ros.message_types import definition_of
 from hd_diag.ros.parameter_server import ParameterServer
@@ -99,6 +100,7 @@ class DiagnosticNode(Node):
         )
         self._session.start(self._now())
         self._recording = Recording(self, self._log, self._session, self._now)
+        self._console = Console(self.get_logger())
         prepare(config)
         self._builder = MapBuilder()
         self._build_maps(config.joints)
@@ -261,9 +263,9 @@ class DiagnosticNode(Node):
             **absences(self, [*zip(self._inputs, self._readers, strict=True)], self._session.config.joints),
         }
         silence = self._session.monitor.silence(time.monotonic_ns())
-        self._recording.follow(
-            self._session.tick(self._now(), self.get_clock().now().nanoseconds, facts, silence)
-        )
+        statuses = self._session.tick(self._now(), self.get_clock().now().nanoseconds, facts, silence)
+        self._console.follow(statuses)
+        self._recording.follow(statuses)
 
     def _take_maps(self) -> None:
         while not self._builder.finished.empty():

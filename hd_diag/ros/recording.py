@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -18,9 +18,10 @@ from hd_diag.bag import BagError
 from hd_diag.monitor.publications import Status
 from hd_diag.replay.recorded_monitor import Session
 from hd_diag.ros.diagnosis_run import DiagnosisRun
+from hd_diag.ros.faults import OF_NO_JOINT, Beginnings
 from hd_diag.ros.log_writer import LogWriter
 
-_OF_NO_JOINT = {"LOG_FAILED", "OK"}
+_SILENCE = {"STALE"}  # a fault in which there is nothing to diagnose
 _MOVED = 0.01  # turn of an input that is more than an encoder's noise [rad]
 
 
@@ -32,7 +33,7 @@ class Recording:
 
     def __init__(self, node: Node, log: LogWriter, session: Session, now: Callable[[], int]) -> None:
         self._log, self._session, self._now = log, session, now
-        self._faults: dict[str, set[str]] = {}
+        self._faults = Beginnings(session.config.log.before + session.config.log.after)
         self._angles: dict[str, float] = {}
         self._moved, self._seen = 0.0, time.monotonic()
         self._fault_waits = False  # for a diagnosis, while another is running
@@ -57,24 +58,22 @@ class Recording:
     def follow(self, statuses: Sequence[Status]) -> None:
         """Look at a report: a fault that begins, or enough motion, begins what is configured."""
         config, now = self._session.config, time.monotonic()
-        begun, every = self._has_begun(statuses), config.diagnose_every
+        begun, every = self._begun(statuses), config.diagnose_every
         self._moved += self._is_turning(statuses) * (now - self._seen)
         self._seen = now
         if begun and config.log.mode == "snapshot" and config.log.path:
             with suppress(BagError):  # the log's state tells why
                 self._record(config.log.after)
-        self._fault_waits |= begun and config.diagnose_on_fault
+        self._fault_waits |= config.diagnose_on_fault and not begun <= _SILENCE
         if self._fault_waits or (every and self._moved >= every):
             self._diagnose_by_itself(config.log.after if begun else 0.0)
 
-    def _has_begun(self, statuses: Sequence[Status]) -> bool:
-        """Whether a joint has a fault that it did not have in the report before."""
-        begun = False
-        for status in statuses:
-            values = status.values
-            faults = set(values["fault_codes"].split()) - _OF_NO_JOINT if values["samples"] != "0" else set()
-            begun |= bool(faults - self._faults.get(status.joint, set()))
-            self._faults[status.joint] = faults
+    def _begun(self, statuses: Sequence[Status]) -> set[Hashable]:
+        """Faults that begin. One that comes back while a snapshot would hold it is in the files already."""
+        begun: set[Hashable] = set()
+        for joint, _, _, values in statuses:
+            faults = set(values["fault_codes"].split()) - OF_NO_JOINT if values["samples"] != "0" else set()
+            begun |= self._faults.of(joint, faults)
         return begun
 
     def _is_turning(self, statuses: Sequence[Status]) -> bool:
