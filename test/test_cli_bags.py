@@ -28,12 +28,12 @@ from hd_diag.cli.verbs.bags import recover, replay
 from hd_diag.config.parameters import nested
 from hd_diag.messages.encoding import encode_joint_states
 
-COUNT = 60_000
+COUNT = 20_000
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A configuration, a short log of the node, and a bag of a minute."""
+    """A configuration, a short log of the node, and a bag of twenty seconds."""
     made = tmp_path_factory.mktemp("bags")
     # As many arrays as can be: a replay that takes some seconds can be interrupted.
     given = nested(parameters("a", array_rate=1000.0))
@@ -173,7 +173,7 @@ def test_ctrl_c_leaves_a_whole_bag_and_says_what_there_is(
     out, (place, what) = tmp_path / name, STOPPED[command]
     given = () if command is recover else ("--config", folder / "c.yaml")
     with monkeypatch.context() as patch:
-        interrupting(patch, place, 3 if command is recover else 1)
+        interrupting(patch, place, 2 if command is recover else 1)
         result = run(command, folder / "long.mcap", "--out", out, *given)
     with BagReader(out) as reader:
         assert not reader.problems

@@ -54,6 +54,7 @@ def test_what_is_wrong_with_a_recording_is_told(
     made, told = FILES[fault]
     code, said = told[verb]
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("hd_diag.report.page.inline_svg", lambda *_, **__: "")  # test_report.py draws them
     shutil.copy(place / "one.yaml", tmp_path)
     Path("FILE.mcap").write_bytes(made((place / "a.mcap").read_bytes()))
     result = hd_diag(*VERBS[verb].replace("FILE", "FILE.mcap").split())

@@ -154,9 +154,8 @@ def test_loads_of_sections_over_the_width_are_the_whole_load() -> None:
 def test_claims_hold_in_the_middle_of_a_cup() -> None:
     """The middle of a cup is the paper's section; at the bottom teeth interfere by 4.56 um from the first."""
     cup = coned(3)
-    bottom, middle = (
-        {each.name: each for each in sections.figures(cup)}[f"figure_6_{end}"] for end in ("bottom", "middle")
-    )
+    drawn = {each.name: each for each in sections.figures(cup)}
+    bottom, middle = (drawn[f"figure_6_{end}"] for end in ("bottom", "middle"))
     by_letter = {claim.letter: claim for claim in middle.claims}
     plane = {claim.letter: claim for claim in paper.teeth_at_once(drive()).claims}
     assert by_letter["c"] == plane["c"]

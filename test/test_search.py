@@ -534,14 +534,14 @@ def test_friction_that_is_usual_undoes_no_friction(sign: float) -> None:
 def test_a_displacement_that_some_rows_do_not_show_is_found_on_all() -> None:
     """As configured it costs nothing there, and a search begins so: all rows are asked again."""
     small = fit_parameters.vector(joint(eccentricity__magnitude=6e-6).drive, CONFIGURED)
-    record = swinging(60.0, drive=fit_parameters.drive_of(small, CONFIGURED))
+    record = swinging(30.0, drive=fit_parameters.drive_of(small, CONFIGURED))
     every = linearise(record, CONFIGURED, small).with_noise(())
-    few = linearise(record.select(np.arange(record.size) < record.size // 20), CONFIGURED, small)
+    few = linearise(record.select(np.arange(record.size) < record.size // 10), CONFIGURED, small)
     held = dataclasses.replace(few.moved(CENTRED), held=(0, 1, 2, 3))
     found = search([few.with_noise(()), held.with_noise(())], every, np.random.default_rng(0)).best
     assert not found.names
     assert found.fit.parameters[:2] == pytest.approx(small[:2], abs=0.5)
-    none = linearise(swinging(60.0, drive=CONFIGURED), CONFIGURED, CENTRED).with_noise(())
+    none = linearise(swinging(30.0, drive=CONFIGURED), CONFIGURED, CENTRED).with_noise(())
     apart = dataclasses.replace(none, held=(0, 1, 2, 3))
     found = search([none.moved(small), apart], none, np.random.default_rng(0)).best
     assert found.fit.held == (0, 1, 2, 3)
