@@ -71,7 +71,7 @@ def test_signals_of_other_types_live_and_in_the_log(tmp_path: Path) -> None:
         assert values["last_rejection"] == "a message has 0 elements of points: none is points[0]"
         (answer,) = rig.set(elbow__torque_signal__sign=1)
         assert not answer.successful
-        assert answer.reason == "elbow: where its signals stand is read when the node starts"
+        assert answer.reason == "elbow.torque_signal.sign: is fixed when the node starts (read-only)"
         assert rig.process.end() == 0
     replay(tmp_path / "log.mcap", tmp_path / "again.mcap")
     live, again = (content(tmp_path / name) for name in ("log.mcap", "again.mcap"))

@@ -265,7 +265,7 @@ def test_what_is_not_there_is_told_with_what_there_is(
         ),
         ({"output_signal.unit": "rad/s"}, "joint_1.output_signal.unit: 'rad/s' is not a unit of output"),
         ({"torque_signal.unit": "counts/4096"}, "is not a unit of torque; there are N m, N mm, A, mA"),
-        ({"input.sign": 0}, "joint_1.input.sign: expected 1 or -1, not 0"),
+        ({"input.sign": 0}, "joint_1.input.sign: expected one of -1, 1, not 0"),
         ({"input.type": "a/b/c/d"}, "joint_1.input.type: expected a type such as"),
         ({"input.type": "control_msgs/DynamicJointState"}, "joint_1.input.topic: the topic"),
         (

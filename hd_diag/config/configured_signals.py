@@ -59,8 +59,6 @@ def _signal(joint: str, role: str, owner: str, own: Mapping[str, Value]) -> Sign
     is_velocity = role == "input" and type_name == JOINT_STATE and field.startswith(_VELOCITY)
     at_motor = role == "input" and not (is_velocity and own["input_divided"])
     name = name or (own["input_joint"] or f"{joint}_motor" if at_motor else own["output_joint"] or joint)
-    if sign not in (1, -1):
-        raise ConfigError(f"{joint}.{owner}.sign: expected 1 or -1, not {shown(sign)}")
     try:
         known = unit(role, text or ("rad/s" if is_velocity else usual_unit))
     except ValueError as error:

@@ -164,8 +164,8 @@ def checked(name: str, value: Any, parameter: Parameter) -> Value:
     if isinstance(default, list):
         return joint_names(value) if name == "joints" else _numbers(name, value, parameter)
     if not isinstance(default, (bool, str)):
-        return _number(name, value, parameter)
-    if type(value) is not type(default) or (choices and value not in choices):
+        value = _number(name, value, parameter)
+    if type(value) is not type(default) or (choices and str(value) not in choices):
         wanted = "one of " + ", ".join(choices) if choices else _WORDS[type(default)]
         raise ConfigError(f"{name}: expected {wanted}, not {shown(value)}")
     return value

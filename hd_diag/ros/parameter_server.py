@@ -26,6 +26,8 @@ from hd_diag.formatting import visible
 # How long a model file may take to be read [s]: samples wait meanwhile, in the subscription's queue.
 _PATIENCE, _PATIENCE_AT_START = 0.25, 10.0
 _LONGEST_REASON = 2000  # characters
+_PLACES = 100.0  # of a slider; in a wider range all usual values are at one
+_SMALL = 0.005  # usual size of what is zero by default: lengths and angles of an assembly [m], [rad]
 _MAPPINGS = (*SIGNALS, "output_joint")  # how a joint's parameters begin that say where its signals stand
 
 
@@ -69,7 +71,7 @@ class ParameterServer:
         """
         for parameter in changed:
             if parameter.name in self._known and _is_fixed(parameter.name):
-                raise ConfigError(_why_fixed(parameter.name))
+                raise ConfigError(f"{parameter.name}: is fixed when the node starts (read-only)")
         self._next = self._candidate(changed)
         asked, before = {parameter.name for parameter in changed}, self.config.flat
         following = {n: v for n, v in self._next.flat.items() if v != before[n] and n not in asked}
@@ -140,7 +142,7 @@ class _Services(ParameterService):
 
 
 def _descriptor(name: str, spec: Parameter) -> ParameterDescriptor:
-    """What tools show of a parameter: a range as a slider, else as text; choices."""
+    """What tools show of a parameter: choices; its range as text, and as a slider unless it is too wide."""
     limits = f"{spec.low:g} to {spec.high:g}" if np.isfinite([spec.low, spec.high]).all() else ""
     descriptor = ParameterDescriptor(
         name=name,
@@ -149,11 +151,19 @@ def _descriptor(name: str, spec: Parameter) -> ParameterDescriptor:
         additional_constraints="one of " + ", ".join(spec.choices) if spec.choices else limits,
         read_only=_is_fixed(name),
     )
-    if limits and isinstance(spec.default, int):
+    if type(spec.default) is int and spec.choices:
+        low, high = map(int, spec.choices)
+        descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=high - low)]
+    elif type(spec.default) is int and _slides(spec):
         descriptor.integer_range = [IntegerRange(from_value=int(spec.low), to_value=int(spec.high), step=1)]
-    elif limits and isinstance(spec.default, float):
+    elif type(spec.default) is float and _slides(spec):
         descriptor.floating_point_range = [FloatingPointRange(from_value=spec.low, to_value=spec.high)]
     return descriptor
+
+
+def _slides(spec: Parameter) -> bool:
+    """Whether usual values of a number are at several places of a slider over its range."""
+    return spec.high - spec.low <= _PLACES * (abs(spec.default) or _SMALL)
 
 
 def _as_declared(parameter: RosParameter, spec: Parameter | None) -> RosParameter:
@@ -162,13 +172,6 @@ def _as_declared(parameter: RosParameter, spec: Parameter | None) -> RosParamete
     if not is_number or parameter.type_ != RosParameter.Type.INTEGER:
         return parameter
     return RosParameter(parameter.name, RosParameter.Type.DOUBLE, float(parameter.value))
-
-
-def _why_fixed(parameter: str) -> str:
-    joint, _, own = parameter.partition(".")
-    if own.startswith(_MAPPINGS):
-        return f"{joint}: where its signals stand is read when the node starts"
-    return f"{parameter}: is fixed when the node starts (read-only)"
 
 
 def _is_fixed(parameter: str) -> bool:
