@@ -21,13 +21,17 @@ def _open_streams() -> None:
 def main() -> None:
     """Entry point of the ``hd-diag`` command."""
     _open_streams()
-    if sys.argv[1:2] != ["node"]:  # ROS writes its log past Python
+    is_node = sys.argv[1:2] == ["node"]
+    if not is_node:  # ROS writes its log past Python
         watch_limit()
     gc.disable()  # until a verb works: imports leave no garbage, and looking for it is a sixth of a start
     try:
-        from hd_diag.ros.stop_signals import raise_signals
+        from hd_diag.ros.stop_signals import note_signals, raise_signals
 
-        raise_signals()
+        if is_node:
+            note_signals()
+        else:
+            raise_signals()
         from hd_diag.cli import main as run
 
         run()

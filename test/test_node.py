@@ -583,11 +583,13 @@ def test_ros_leaves_its_lines_without_colour_where_the_user_wants_none(
 
 
 @pytest.mark.parametrize(
-    ("number", "delay"), [(signal.SIGINT, 0.3), (signal.SIGTERM, 0.6), (signal.SIGINT, 1.2)]
+    ("number", "delay", "entry"),
+    [(signal.SIGINT, 0.3, "node"), (signal.SIGTERM, 0.4, "main"), (signal.SIGINT, 1.2, "node")],
 )
-def test_a_signal_while_it_starts_ends_it_with_code_0(number: int, delay: float) -> None:
-    code = "import hd_diag.__main__ as main, hd_diag.ros.stop_signals; print(1, flush=True); main.node()"
-    command = [sys.executable, "-c", code]
+def test_a_signal_while_it_starts_ends_it_with_code_0(number: int, delay: float, entry: str) -> None:
+    """Of ``hd_diag_node`` and of ``hd-diag node``."""
+    code = f"import hd_diag.__main__ as main, hd_diag.ros.stop_signals; print(1, flush=True); main.{entry}()"
+    command = [sys.executable, "-c", code, *(["node"] if entry == "main" else [])]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         process.stdout.readline()

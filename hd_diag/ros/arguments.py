@@ -25,7 +25,8 @@ def check_arguments(arguments: Sequence[str], config_file: str = "") -> dict[str
     """
     unknown = remove_ros_args(list(arguments))[1:]
     if unknown:
-        raise UsageError(f"unknown arguments: {' '.join(unknown)} (those for ROS stand behind --ros-args)")
+        example = "those for ROS stand behind --ros-args, as in: --ros-args -r __ns:=/arm"
+        raise UsageError(f"unknown arguments: {' '.join(unknown)}; {example}")
     found = {}
     for file in parameter_files(arguments):
         try:

@@ -16,6 +16,7 @@ from hd_diag.memory import causes
 
 _STOPPING = (signal.SIGINT, signal.SIGTERM)
 _SOON = 0.02  # [s]
+_noted: list[int] = []
 _raised: list[tuple[threading.Event, int]] = []  # signals: who has seen one, and its number
 
 SIGNALLED = 128
@@ -84,11 +85,10 @@ def _lost(what: Any) -> None:
 
 
 def note_signals() -> list[int]:
-    """Signals that come from now on, for as long as the process lives: who sees one ends its work."""
-    came: list[int] = []
+    """Signals that come from the first call on, as long as the process lives: who sees one ends its work."""
     for number in _STOPPING:
-        signal.signal(number, lambda received, frame: came.append(received))
-    return came
+        signal.signal(number, lambda received, frame: _noted.append(received))
+    return _noted
 
 
 def ignore_signals() -> None:

@@ -25,14 +25,18 @@ def demo() -> None:
     """
 
 
-@options.verb("node --config arm.yaml -- --ros-args -r joint_states:=/js", "ros", ignore_unknown_options=True)
+@options.verb(
+    "node --config arm.yaml -- --ros-args -r __ns:=/arm -r joint_states:=/js",
+    "ros",
+    ignore_unknown_options=True,
+)
 @options.CONFIG
 @click.argument("ros_arguments", nargs=-1, type=click.UNPROCESSED)
 def node() -> None:
     """Run the ROS node.
 
     Joint states in, diagnostics, tooth arrays and transmission error out. Needs ROS 2 Jazzy. Arguments after
-    -- go to ROS. Ends with code 0 on SIGINT and SIGTERM.
+    -- --ros-args go to ROS, such as a namespace. Ends with code 0 on SIGINT and SIGTERM.
     """
 
 
