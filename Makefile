@@ -28,7 +28,7 @@ export RMW_IMPLEMENTATION = rmw_fastrtps_cpp
 ENVIRONMENT = sh scripts/environment.sh
 IN = AMENT_PREFIX_PATH='$(CURDIR)/.venv/$(1)' PATH="$(CURDIR)/.venv/$(1)/bin:$$PATH"
 
-.PHONY: help demo test test-all environments lint docs types pytest pytest-ubuntu challenge bench soak audit install lock clean
+.PHONY: help demo test test-all environments lint docs types types-and-ubuntu pytest pytest-ubuntu challenge bench soak audit install lock clean
 .NOTPARALLEL:
 
 help:
@@ -50,8 +50,14 @@ demo:
 	@$(call IN,demo) hd-diag demo $(ARGS)
 
 # The tests build the pages too (test/test_docs.py).
-test test-all: environments lint types pytest pytest-ubuntu
+test test-all: environments lint types-and-ubuntu pytest
 test-all: SELECTED =
+
+# mypy works on one core, the first time for a minute: the numerical tests have the other, and it tells after them.
+types-and-ubuntu: install
+	@$(MAKE) --no-print-directory types >.venv/types.log 2>&1 & types=$$!; \
+	$(MAKE) --no-print-directory pytest-ubuntu SELECTED="$(SELECTED)"; ended=$$?; \
+	wait $$types || ended=1; cat .venv/types.log; exit $$ended
 
 # Both at once: pip works on one core, and what fails of the second is told where it is used.
 environments:
