@@ -83,8 +83,8 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
 
 
-# They share diagnosed records (report_samples), which one process then computes once.
-DIAGNOSED = ("diagnose", "report", "report_browser")
+# They share diagnosed records (report_samples), which one process then computes once, or its browser.
+DIAGNOSED = ("diagnose", "report", "report_browser", "fleet_page")
 # What begins first, so that the processes end together. Live nodes mostly wait, and two at once would leave a
 # core idle: the longest begin, others come after what computes, `replay_live` is late by its name.
 LONGEST = ("nodes", "diagnosed", "docs", "demo", "cli_fleet", "watch_live", "node", "monitor_model")
@@ -119,9 +119,9 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
     return ByFile(config, log)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def browser() -> Iterator[Any]:
-    """Chromium, one for the pages of a file."""
+    """Chromium, one for the pages of a process: it takes three seconds to begin and end."""
     with headless.chromium() as driver:
         yield driver
 

@@ -548,7 +548,13 @@ def test_a_displacement_that_some_rows_do_not_show_is_found_on_all() -> None:
     assert found.fit.parameters[:4] == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize("law", [lambda load: 1.0 / (1.0 + load), lambda load: np.exp(-load / 1.5)])
+@pytest.mark.parametrize(
+    "law",
+    [
+        lambda load: 1.0 / (1.0 + load),
+        pytest.param(lambda load: np.exp(-load / 1.5), marks=pytest.mark.slow),
+    ],
+)
 def test_a_usual_wave_that_falls_and_turns_is_no_cause(law: Any) -> None:
     """Other flanks bear a torque of the other sign, and the wave's phase goes with them."""
 
