@@ -60,8 +60,8 @@ def following(*arguments: str) -> contextlib.AbstractContextManager[subprocess.P
     return started(*COMMAND, *arguments)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def waiting(ros: None, arm: Rig) -> Iterator[list[subprocess.Popen[str]]]:
+@pytest.fixture(scope="module")
+def waiting(arm: Rig) -> Iterator[list[subprocess.Popen[str]]]:
     """What waits for a joint that nobody has, for a namespace without a node, and for such a node."""
     once, here = ("--once", "--timeout", str(TIMEOUT), "--namespace"), arm.process.namespace
     with (
@@ -111,6 +111,7 @@ def test_once_shows_every_joint_as_the_diagnostics_say(
     assert joints["elbow"]["values"]["eccentricity_direction_deg"] == pytest.approx(90.0)
 
 
+@pytest.mark.usefixtures("waiting")
 def test_a_fault_appears_and_can_be_failed_on(arm: Rig) -> None:
     arguments = ("--namespace", arm.process.namespace, "--joint", "shoulder", "--fail-on-fault")
     arm.set(shoulder__eccentricity__magnitude=0.0)
