@@ -115,6 +115,16 @@ def test_a_gap_is_a_rest_that_nobody_saw() -> None:
     assert_array_equal(columns("rests", signals), (signals.run[:, None] == [1, 2]).astype(float))
 
 
+def test_what_begins_a_recording_has_no_constant_beside_its_encoder_s_zero() -> None:
+    recording = np.repeat([0, 1], 300)
+    stretches = made(both_ways(), 20.0, np.repeat([0, 4, 9], [200, 100, 300]))
+    found = columns("creep", dataclasses.replace(stretches, recording=recording))
+    assert_array_equal(found[:, 2:], (stretches.run == 4)[:, None])
+    rests = made(rested(200, 50, 150, 150), 20.0, np.repeat([0, 1], [287, 338]))  # begins in a rest
+    found = columns("rests", dataclasses.replace(rests, recording=rests.run))
+    assert_array_equal(found.sum(axis=0), [75, 163])
+
+
 STRETCHES = np.arange(FEW) // 40
 
 

@@ -47,6 +47,8 @@ class Signals:
         Its sensitivity to errors of the teeth.
     tooth_ripple : ndarray, shape (n,), or None
         What errors of the teeth add to the ripple [rad]; None: nothing is known of any.
+    recording : ndarray of int64, shape (n,), or None
+        Number of the recording, each with an encoder's zero of its own; None: all are of one.
     """
 
     time: Floats
@@ -61,6 +63,7 @@ class Signals:
     predicted_rate: Floats
     contact: ContactWeights
     tooth_ripple: Floats | None = None
+    recording: Integers | None = None
 
     @cached_property
     def kept(self) -> dict[Hashable, Any]:

@@ -171,7 +171,7 @@ def _full(values: Floats) -> Floats:
 
 
 def _creep(signals: Signals) -> Floats:
-    """Travel, torque times travel, and a constant for every stretch but the first: the creep before it."""
+    """Travel, torque times travel, and a constant for every stretch: the creep before it."""
     stretches = bounds(signals.run)
     if len(stretches) > _STRETCHES:
         return np.empty((signals.size, 0))
@@ -180,12 +180,23 @@ def _creep(signals: Signals) -> Floats:
         rows = slice(begin, end)
         way = np.abs(np.diff(signals.output_angle[rows], prepend=signals.output_angle[begin]))
         columns[rows] = np.cumsum(np.stack((way, way * signals.torque[rows]), axis=1), axis=0)
-    started = signals.run[:, None] == signals.run[[begin for begin, _ in stretches[1:]]]
+    started = _constants(signals, signals.run, np.arange(signals.size))
     return np.concatenate((np.stack([_full(c) for c in columns.T], axis=1), started), axis=1)
 
 
+def _constants(signals: Signals, part: Integers, rows: Integers) -> Floats:
+    """A constant for every part of a record but those that begin a recording: its encoder's zero is free.
+
+    By the number of each sample's part (n,), which rises, and the rows that count.
+    """
+    recording = np.zeros(signals.size, np.int64) if signals.recording is None else signals.recording
+    first = np.flatnonzero(np.diff(part[rows])) + 1
+    goes_on = recording[rows[first]] == recording[rows[first - 1]]
+    return np.asarray(part[:, None] == part[rows[first[goes_on]]], np.float64)
+
+
 def _rests(signals: Signals) -> Floats:
-    """A constant for every run but the first, from the middle of one rest to that of the next."""
+    """A constant for every run, from the middle of one rest to that of the next."""
     speed = np.abs(signals.speed)
     least = 0.01 * float(np.percentile(speed, 95))
     began = np.concatenate(([False], np.diff(signals.run) != 0))
@@ -197,8 +208,7 @@ def _rests(signals: Signals) -> Floats:
         return np.empty((signals.size, 0))
     # A flicker goes with the run before.
     place = np.maximum(np.searchsorted(kept, number, side="right") - 1, 0)
-    own: Floats = (place[:, None] == np.arange(1, kept.size)).astype(np.float64)
-    return own
+    return _constants(signals, place, np.flatnonzero((speed >= least) & np.isin(number, kept)))
 
 
 def _rest_middles(speed: Floats, least: float) -> list[int]:

@@ -176,5 +176,6 @@ class RecordModel:
             predicted_torque_slope=slope,
             predicted_rate=self.rate(error),
             contact=contact_weights(drive, angle, record.torque, torsion, reported),
+            recording=record.bag,
         )
         return AtParameters(signals, derivatives, along)
