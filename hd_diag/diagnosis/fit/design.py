@@ -173,19 +173,22 @@ def solve(gram: Floats, moment: Floats) -> Floats:
 
 
 def inverse(gram: Floats) -> Floats:
-    """Inverse of a Gram matrix whose columns may be of any scale, or alike; shape (k, k)."""
+    """Inverse of a Gram matrix whose columns may be of any scale, alike, or zero; shape (k, k)."""
     square = np.diag(gram)
-    # Rounding must not blow up a column of zeros: divided by infinity it stays out of the way.
-    scale = np.where(square > 0.0, np.sqrt(np.maximum(square, 1e-300)), np.inf)
+    if not square.size or not np.all(square > 0.0):
+        own, found = np.flatnonzero(square > 0.0), np.zeros_like(gram)
+        if own.size:
+            found[np.ix_(own, own)] = inverse(gram[np.ix_(own, own)])
+        return found
+    scale = np.sqrt(square)
     scaled = gram / np.outer(scale, scale)
-    if not square.size:
-        return np.asarray(scaled)
     root, failed = lapack.dpotrf(scaled, lower=1)
     if not failed and np.all(np.diag(root) ** 2 > _APART):  # no two are alike: several times as fast
-        lower = lapack.dpotri(root, lower=1)[0]
-        return np.asarray((np.tril(lower) + np.tril(lower, -1).T) / np.outer(scale, scale))
+        half = lapack.dpotri(root, lower=1)[0]  # zero above the diagonal
+        half[np.diag_indices_from(half)] *= 0.5
+        return np.asarray((half + half.T) / np.outer(scale, scale))
     values, vectors = np.linalg.eigh(scaled)
-    kept = values > _ALIKE * values.max(initial=0.0)
+    kept = values > _ALIKE * values.max()
     return np.asarray((vectors[:, kept] / values[kept]) @ vectors[:, kept].T / np.outer(scale, scale))
 
 

@@ -55,23 +55,15 @@ class MeshTorques:
     @cached_property
     def error(self) -> Floats:
         """What the model does under it beside its own error [rad], shape (n,)."""
-        if self._none:
-            return np.zeros(self.model.record.size)
-        return self.model.kept.get((self.parameters.tobytes(), "error", self.key), self._error)
+        return np.zeros(self.model.record.size) if self._none else self._under[0]
 
     @cached_property
     def slope(self) -> Floats:
         """The model's derivative by the torque under it [rad/(N m)], shape (n,)."""
         nearby = self._nearby
-
-        def slope() -> Floats:
-            steep = self._whole.predicted_torque_slope
-            if not nearby._none:
-                steep = self.model.slope(self.parameters, nearby.more)
-            most = _STEEPEST * unit_scales(self.model.configured)["rad/(N m)"]
-            return np.where(np.abs(steep) < most, steep, 0.0)  # without end in the gap between the flanks
-
-        return self.model.kept.get((self.parameters.tobytes(), "slope", nearby.key), slope)
+        steep = self._whole.predicted_torque_slope if nearby._none else nearby._under[1]
+        most = _STEEPEST * unit_scales(self.model.configured)["rad/(N m)"]
+        return np.where(np.abs(steep) < most, steep, 0.0)  # without end in the gap between the flanks
 
     @property
     def slope_key(self) -> Hashable:
@@ -144,11 +136,15 @@ class MeshTorques:
     def _none(self) -> bool:
         return not self.causes and (self.as_taken or self.model.record.taken is None)
 
-    def _error(self) -> Floats:
-        return self._under(self.more)
+    @property
+    def _under(self) -> Floats:
+        """What the model does under it beside its own error [rad]; its derivative by the torque; (2, n)."""
 
-    def _under(self, more: Floats) -> Floats:
-        return np.nan_to_num(self.model.error(self.parameters, more) - self._whole.predicted)
+        def under() -> Floats:
+            error, slope = self.model.under(self.parameters, self.more)
+            return np.stack((np.nan_to_num(error - self._whole.predicted), slope))
+
+        return self.model.kept.get((self.parameters.tobytes(), "under", self.key), under)
 
 
 def mesh_torques(

@@ -114,13 +114,13 @@ class RecordModel:
             return self.at(parameters).derivatives
         return self.at(parameters).along(self.record.torque + shift)[1]
 
-    def error(self, parameters: Floats, shift: Floats) -> Floats:
-        """Transmission error at all rows (n,) [rad] under a torque more by a shift (n,) [N m]."""
-        return self.at(parameters).along(self.record.torque + shift)[0]
+    def under(self, parameters: Floats, shift: Floats) -> tuple[Floats, Floats]:
+        """Transmission error at all rows [rad] and its derivative by the torque [rad/(N m)], (n,) each.
 
-    def slope(self, parameters: Floats, shift: Floats) -> Floats:
-        """Derivative of the error by the torque at all rows (n,) [rad/(N m)] under such a torque."""
-        return self.at(parameters).along(self.record.torque + shift)[2]
+        Under a torque more by a shift (n,) [N m].
+        """
+        error, _, slope = self.at(parameters).along(self.record.torque + shift)
+        return error, slope
 
     def secants(self, parameters: Floats, shift: Floats, reach: Floats) -> Floats:
         """As `derivatives`, on average over steps to both sides: columns of `reach` (p, p), in their units.
