@@ -12,6 +12,7 @@ from hd_diag.diagnosis.action import advice
 from hd_diag.diagnosis.diagnosis import Allowed, Diagnosis, imitated, parameter_sizes
 from hd_diag.diagnosis.evidence.solution import Cause
 from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.fit.refit import AMBIGUOUS
 from hd_diag.diagnosis.gain import Rms
 from hd_diag.diagnosis.judgement import Answer, Limited
 from hd_diag.diagnosis.statements import sentence
@@ -68,7 +69,7 @@ def test_a_cause_beside_a_misfit_is_a_misfit_and_said_first() -> None:
     [
         (("coulomb_windup", "torque_offset", "viscous_windup", "stream_delay"), {}, True),
         (("coulomb_windup", "torque_offset", "viscous_windup", "stream_delay", "resonance"), {}, False),
-        ((), {"refitted": refitted(trustworthy=False)}, True),
+        ((), {"refitted": refitted(AMBIGUOUS)}, True),
         ((), {"refitted": dataclasses.replace(refitted(), parameters=AT_BOUND)}, False),
         ((), {"rms": MISFIT}, False),
     ],

@@ -33,7 +33,7 @@ from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.fit_parameters import COMPLIANCE, CUP, DATUM
 from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
-from hd_diag.diagnosis.fit.refit import Refit, refit
+from hd_diag.diagnosis.fit.refit import AMBIGUOUS, Refit, refit
 from hd_diag.diagnosis.gain import Rms, held_out, measured_gain
 from hd_diag.diagnosis.record import Record
 from hd_diag.drive import transmission_error
@@ -377,7 +377,7 @@ def test_parameters_are_ambiguous_only_if_they_are_beside_all_causes(monkeypatch
     """Without the causes several sets may fit alike: minima beside them decide."""
 
     def doubtful(*given: Any, **named: Any) -> Refit:
-        return dataclasses.replace(refit(*given, **named), trustworthy=False)
+        return dataclasses.replace(refit(*given, **named), doubt=AMBIGUOUS)
 
     monkeypatch.setattr(diagnosis, "refit", doubtful)
     found = diagnosis.diagnose(swinging(8.0), CONFIGURED, np.random.default_rng(0))

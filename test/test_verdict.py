@@ -20,7 +20,7 @@ from hd_diag.diagnosis.evidence.solution import Cause, Function
 from hd_diag.diagnosis.evidence.unexplained import Unexplained
 from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.fit import fit_parameters
-from hd_diag.diagnosis.fit.refit import Refit
+from hd_diag.diagnosis.fit.refit import AMBIGUOUS, Refit
 from hd_diag.diagnosis.gain import Gain, Rms
 from hd_diag.diagnosis.judgement import Answer
 from hd_diag.diagnosis.statements import sentence, sentences
@@ -77,11 +77,11 @@ def function(effect: Remainder, largest: float = 9.0 * ARCSEC, larger: bool = Tr
     return Function(effect, (1e-6, 0.0, 1.0), coefficients, largest / 3.0, largest, 20.0, larger, True)
 
 
-def refitted(trustworthy: bool = True, eccentricity: complex = 18.2 * np.exp(1.29j)) -> Refit:
+def refitted(doubt: str = "", eccentricity: complex = 18.2 * np.exp(1.29j)) -> Refit:
     point = fit_parameters.vector(CONFIGURED, CONFIGURED)
     point[0], point[1] = eccentricity.real, eccentricity.imag
     covariance = np.diag([0.3, 0.3, 0.2, 0.2, 1.0, 0.1, 0.2]) ** 2
-    return Refit(fit_parameters.drive_of(point, CONFIGURED), point, covariance, trustworthy)
+    return Refit(fit_parameters.drive_of(point, CONFIGURED), point, covariance, doubt)
 
 
 AT_BOUND = fit_parameters.admissible(np.array([1e3, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0]), CONFIGURED)
@@ -127,7 +127,7 @@ DIAGNOSES = {
     "wrong ratio": diagnosis(findings=(WRONG_RATIO,), **ENDED),
     "swapped": diagnosis(findings=(SWAPPED,), **ENDED),
     "tooth skipped": diagnosis(cause("hysteresis"), findings=(SKIP,)),
-    "ambiguous": diagnosis(refitted=refitted(trustworthy=False)),
+    "ambiguous": diagnosis(refitted=refitted(AMBIGUOUS)),
     "functions": diagnosis(
         found=found(functions=tuple(map(function, (TORQUE, SPEED, PLACE, TIME, *ORDERS))))
     ),
@@ -240,7 +240,7 @@ ALIKE = cause("output_runout", 2.5 * ARCSEC, ("output_encoder_eccentricity",))
         ),
         (
             DIAGNOSES["ambiguous"],
-            "; the model's parameters are ambiguous: several sets fit about as well; no other cause is "
+            "; the model's parameters are not judged: several sets fit about as well; no other cause is "
             "needed.",
         ),
     ],
@@ -331,7 +331,7 @@ def test_scatter_of_the_encoders_zeros_is_told() -> None:
 
 
 def test_an_eccentricity_that_is_ambiguous_is_beside_no_limit() -> None:
-    made = diagnosis(refitted=refitted(trustworthy=False), allowed=Allowed(10e-6, "overlap"))
+    made = diagnosis(refitted=refitted(AMBIGUOUS), allowed=Allowed(10e-6, "overlap"))
     assert "tolerance's limit" not in sentence(Answer(made))
 
 

@@ -15,7 +15,7 @@ from hd_diag.diagnosis.detectability import NOT_PROVED, Detectability, testabili
 from hd_diag.diagnosis.evidence.kept_parameters import DISPLACEMENTS, HELD, Kept, kept_parameters
 from hd_diag.diagnosis.evidence.naming import standings
 from hd_diag.diagnosis.evidence.order_table import OrderRow
-from hd_diag.diagnosis.evidence.search import search
+from hd_diag.diagnosis.evidence.search import FURTHER_CAUSES, search
 from hd_diag.diagnosis.evidence.solution import Cause, Function, Solution, motor_deviations, solution
 from hd_diag.diagnosis.evidence.unexplained import Unexplained, unexplained, with_table
 from hd_diag.diagnosis.extension import encoder_zeros, extended_model
@@ -25,7 +25,7 @@ from hd_diag.diagnosis.fit.fit_parameters import GROUPS, numbers_of
 from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.fit.motor_torque import less_motor
-from hd_diag.diagnosis.fit.refit import Refit, refit, usable
+from hd_diag.diagnosis.fit.refit import AMBIGUOUS, Refit, refit, usable
 from hd_diag.diagnosis.gain import Gain, Misfit, Rms, Rows, held_out, measured_gain, renumbered
 from hd_diag.diagnosis.noise import ORDER
 from hd_diag.diagnosis.record import MINIMUM_SAMPLES, Record
@@ -43,11 +43,13 @@ _SIZED_ROWS = 2000  # by which the size of what parameters do is taken
 _SEARCHED_ROWS = 6_000  # that a search gets: more cost time, and show what is larger than noise no better
 _TESTED = 0.9  # of the time that a diagnosis may take, by which what could have been shown is tested
 _KEPT = 0.7  # the same, for which parameters are as configured
+_KEPT_TEST = "testing which parameters may be as configured"
 _NO_LAWS = ("no law was found", "no law was found")
 _BY_TORQUE = ("friction", "torsion")  # kinds of causes that a motor's own friction and constant imitate
 _BY_MOTOR = "a motor's own friction and constant imitate it: measure the torque at the joint"
 _HIDDEN = "more than noise is left at the gear's lines: what else is wrong may hide it"
 _AT_BOUND = "a parameter is as far off as it can be: something else takes part in it"
+_UNFINISHED = "there was no time to weigh them against all causes"
 _NOT_PREDICTED = "held-out data are predicted no better with the causes than without"
 _SHAPE = "it is the torsion's own shape: see the function of torque"
 _PARAMETERS = "it is a parameter of the model: see these"
@@ -229,7 +231,7 @@ def diagnose(
     found = search(_starts(begun, test), begun, rng, first.torque_zero)
     best, kept = found.best, Kept({})
     work.tell(0.62, "testing which parameters are as configured")
-    with work.until(_KEPT, "testing which parameters may be as configured"):
+    with work.until(_KEPT, _KEPT_TEST):
         best, kept = kept_parameters(best)
     measured = with_table(solution(best, standings(found), rng))
     fit, chosen = measured.fit, measured.chosen
@@ -251,7 +253,11 @@ def diagnose(
     wider = _wider(rms, configured)
     parameters, spread = kept.spread(whole, found.rivals, found.datum_reach)
     spread = np.outer(wider, wider) * spread + np.diag(imitated(rms, record, configured, parameters) ** 2)
-    trustworthy = not found.ambiguous and not fit_parameters.at_bound(parameters, configured)
+    doubts = {
+        AMBIGUOUS: found.ambiguous,
+        _AT_BOUND: bool(fit_parameters.at_bound(parameters, configured)),
+        _UNFINISHED: not {FURTHER_CAUSES, _KEPT_TEST}.isdisjoint(work.left_out),
+    }
     drive = fit_parameters.drive_of(parameters, configured)
     work.tell(0.9, "looking at what no cause explains")
     whole = replace(whole, table=measured.table)
@@ -260,7 +266,7 @@ def diagnose(
         record,
         configured,
         findings,
-        Refit(drive, parameters, spread, trustworthy),
+        Refit(drive, parameters, spread, next((doubt for doubt, holds in doubts.items() if holds), "")),
         whole,
         rms,
         gain,

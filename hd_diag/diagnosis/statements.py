@@ -124,7 +124,7 @@ def _parameters(answer: Answer) -> str:
     if diagnosis.refitted is None:
         return "described by its orders alone, without a tooth model: nothing is said about causes"
     if not diagnosis.refitted.trustworthy:
-        return "the model's parameters are ambiguous: several sets fit about as well"
+        return f"the model's parameters are not judged: {diagnosis.refitted.doubt}"
     if not changed:
         size = diagnosis.parameters["eccentricity.magnitude"]
         text = f"the eccentricity is as configured ({size['configured'] * 1e6:.1f} µm)"

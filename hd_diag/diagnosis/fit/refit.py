@@ -48,6 +48,8 @@ STARTS: Starts = ((0.0, 0.0), *((size, turn) for size in (6.0, 16.0) for turn in
 
 DISTINCT = 12.0
 """Difference of deviance that tells two minima apart."""
+AMBIGUOUS = "several sets fit about as well"
+"""Why parameters tell nothing of the drive."""
 
 
 @dataclass(frozen=True)
@@ -62,8 +64,8 @@ class Refit:
         In the units of `fit_parameters.units`.
     covariance : ndarray, shape (p, p)
         From the fit on independent samples; the final one is by `diagnosis`.
-    trustworthy : bool
-        Whether no other minimum fits about as well.
+    doubt : str
+        Why the parameters tell nothing of the drive; empty where they do.
     taken : ndarray, shape (k,)
         Coefficients of what a motor takes of its torque.
     torque_zero : float
@@ -73,9 +75,14 @@ class Refit:
     drive: Drive
     parameters: Floats
     covariance: Floats
-    trustworthy: bool
+    doubt: str = ""
     taken: Floats = field(default_factory=lambda: np.zeros(0))
     torque_zero: float = 0.0
+
+    @property
+    def trustworthy(self) -> bool:
+        """Whether the parameters tell of the drive."""
+        return not self.doubt
 
 
 class Motor(NamedTuple):
@@ -170,7 +177,9 @@ def refit(
     ambiguous = any(_apart(point, rival, covariance, configured) > DISTINCT for rival in rivals)
     zero, *taken = trials[0][0][own:].tolist()
     drive = fit_parameters.drive_of(point, configured)
-    return Refit(drive, point, covariance, not ambiguous, np.array(taken), zero * problem.offset)
+    return Refit(
+        drive, point, covariance, AMBIGUOUS if ambiguous else "", np.array(taken), zero * problem.offset
+    )
 
 
 def usable(record: Record, shift: Floats | float = 0.0) -> npt.NDArray[np.bool_]:
