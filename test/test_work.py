@@ -78,6 +78,8 @@ def test_a_diagnosis_out_of_time_says_what_it_left_out() -> None:
     assert (found.causes, found.left_out[:2]) == ((), (DATUM_REACH, FURTHER_CAUSES))
     assert not any(test.testable for test in found.testable)
     assert "testing what this motion could have shown" in found.left_out
+    assert found.refitted is not None
+    assert found.refitted.doubt.startswith("there was no time")  # no displacement is told from it
     told = json.loads(json.dumps(as_json(found, "joint_1"), allow_nan=False))
     assert told["judgement"] == "misfit"
     assert told["left_out"] == [*found.left_out]
