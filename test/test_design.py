@@ -212,6 +212,12 @@ def test_two_of_many_blocks_hold(gain: tuple, predicted: tuple, expected: bool) 
     assert holds(*many, many[1]) is expected
 
 
+@pytest.mark.parametrize(("size", "expected"), [(0.4, False), (0.6, True), (1.8, True), (2.3, False)])
+def test_a_cause_is_half_to_twice_as_large_as_blocks_foretell(size: float, expected: bool) -> None:
+    foretold = np.full(24, 100.0)
+    assert holds((2.0 * size - 1.0) * foretold, foretold, foretold) is expected
+
+
 def test_blocks_count_by_what_is_foretold_of_them() -> None:
     """A torque's zero, that a few turns of the motion show: gains scatter by more than their mean."""
     gain = np.fromstring("-15 0 15 60 35 55 -1 -17 10 6 0 1 -3 6 -5 4 25 186 12 10 8 4 5 168", sep=" ")

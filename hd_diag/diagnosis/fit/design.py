@@ -286,7 +286,7 @@ def holds(gain: Floats, predicted: Floats, variance: Floats) -> bool:
     Returns
     -------
     bool
-        If more than half of what others foretell is there, and no more than all of it, for certain: by noise,
+        If more than half of what others foretell is there, and at most twice as much, for certain: by noise,
         where the blocks agree or scatter no more than it lets them; else by their scatter, each counting by
         what it tells, as many as they come to (Kish, Survey Sampling, 1965, 8.2). All blocks together must
         gain, also those of which the others leave much open.
@@ -312,8 +312,8 @@ def foretold(gain: Floats, predicted: Floats, variance: Floats) -> float:
 
 
 def _is_between(share: float, margin: float) -> bool:
-    """Whether a share is more than a half by a margin, and beyond one by no more."""
-    return 0.5 + margin < share < 1.0 + margin
+    """Whether a share is more than a half by a margin, and beyond two by no more."""
+    return 0.5 + margin < share < 2.0 + margin
 
 
 def interval(gains: Floats, rng: np.random.Generator, over: Floats | None = None) -> tuple[float, float]:
