@@ -26,8 +26,6 @@ from hd_diag.formatting import visible
 # How long a model file may take to be read [s]: samples wait meanwhile, in the subscription's queue.
 _PATIENCE, _PATIENCE_AT_START = 0.25, 10.0
 _LONGEST_REASON = 2000  # characters
-_PLACES = 100.0  # of a slider; in a wider range all usual values are at one
-_SMALL = 0.005  # usual size of what is zero by default: lengths and angles of an assembly [m], [rad]
 _MAPPINGS = (*SIGNALS, "output_joint")  # how a joint's parameters begin that say where its signals stand
 
 
@@ -142,7 +140,7 @@ class _Services(ParameterService):
 
 
 def _descriptor(name: str, spec: Parameter) -> ParameterDescriptor:
-    """What tools show of a parameter: choices; its range as text, and as a slider unless it is too wide."""
+    """What tools show of a parameter: a range as a slider, else as text; choices."""
     limits = f"{spec.low:g} to {spec.high:g}" if np.isfinite([spec.low, spec.high]).all() else ""
     descriptor = ParameterDescriptor(
         name=name,
@@ -154,16 +152,11 @@ def _descriptor(name: str, spec: Parameter) -> ParameterDescriptor:
     if type(spec.default) is int and spec.choices:
         low, high = map(int, spec.choices)
         descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=high - low)]
-    elif type(spec.default) is int and _slides(spec):
+    elif limits and type(spec.default) is int:
         descriptor.integer_range = [IntegerRange(from_value=int(spec.low), to_value=int(spec.high), step=1)]
-    elif type(spec.default) is float and _slides(spec):
+    elif limits and type(spec.default) is float:
         descriptor.floating_point_range = [FloatingPointRange(from_value=spec.low, to_value=spec.high)]
     return descriptor
-
-
-def _slides(spec: Parameter) -> bool:
-    """Whether usual values of a number are at several places of a slider over its range."""
-    return spec.high - spec.low <= _PLACES * (abs(spec.default) or _SMALL)
 
 
 def _as_declared(parameter: RosParameter, spec: Parameter | None) -> RosParameter:
