@@ -28,7 +28,8 @@ from report_samples import (
 )
 from test_verdict import cause as cause_of
 
-from hd_diag.config.configuration import dump, resolve
+from hd_diag.cli.record import Judged, Records, judge_each
+from hd_diag.config.configuration import JointConfig, dump, resolve
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
 from hd_diag.diagnosis.evidence.unexplained import Unexplained
 from hd_diag.diagnosis.judgement import Answer
@@ -425,6 +426,20 @@ def test_a_bag_without_output_gets_the_model_s_side(tmp_path: Path) -> None:
     assert (found["schema"], found["joint"]) == ("hd_diag/not_judged/1", "joint_1")
     assert "no input angle ('<script>" in found["error"]
     assert "with output angle" in found["error"]
+
+
+def test_a_bag_that_goes_while_it_is_judged_loses_nothing(tmp_path: Path) -> None:
+    bag, out = tmp_path / "j.mcap", tmp_path / "a.json"
+    records.write_bag(made("output_runout"), bag)
+    config = resolve({})
+
+    def judged(_joint: JointConfig) -> Judged:
+        bag.unlink()
+        return {"judgement": "causes"}, [], None
+
+    _, code = judge_each(Records((bag,), config, [*config.joints], None, ()), judged, None, str(out))
+    (file,) = json.loads(out.read_text())["files"]
+    assert (code, file["path"]) == (0, str(bag))
 
 
 def test_both_verbs_write_what_they_say(

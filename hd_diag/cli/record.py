@@ -156,6 +156,8 @@ def judge_each(
     a Problem.
     """
     contents, pages, complete = [], [], True
+    # Now: a log's file may be gone once its joints are judged.
+    files = [_span(bag, records.table is None) for bag in records.bags] if json_file else []
     for joint in records.joints:
         try:
             content, lines, page = judge(joint)
@@ -178,7 +180,6 @@ def judge_each(
         tell(f"report written: {written}", err=json_file == "-")
     several = {"schema": "hd_diag/diagnoses/1", "joints": contents}
     result = contents[0] if len(contents) == 1 else several
-    files = [_span(bag, records.table is None) for bag in records.bags] if json_file else []
     write_json(json_file, result | {"files": files, "report": written and str(written.absolute())})
     return contents, 0 if complete else Problem.exit_code
 
