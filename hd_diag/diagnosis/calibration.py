@@ -80,6 +80,10 @@ is known no better than that."""
 DISAGREEING = 0.1
 """Share of what blocks foretell that may lie in blocks which it makes worse, where all count as agreeing."""
 
+FORETOLD = (0.5, 2.0)
+"""Size of a cause in blocks over what the others foretell of it, from and to which it stands. A block gains
+nothing from less than half; the other end is as far to the other side, chosen."""
+
 MISFIT = 1.3
 """What is left of held-out data, over the noise, from which it is not noise: chosen, beyond the tenth or two
 to which records tell their noise."""

@@ -19,7 +19,7 @@ SLOT, TOOTH = 0.0, 1.0
 
 _CANDIDATES = 2  # positions per member
 _BESIDE = range(-2, 3)  # teeth beside a position that are compared exactly
-_ENOUGH = 5_000  # samples for that
+_ENOUGH = 5_000  # samples for that, chosen for speed: a pulse is as wide as many teeth
 
 
 class ToothDamage(Effect):

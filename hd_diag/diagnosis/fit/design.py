@@ -12,7 +12,7 @@ from scipy import special
 from scipy.linalg import lapack
 
 from hd_diag.arrays import Floats, Integers
-from hd_diag.diagnosis.calibration import CERTAIN_SIZE, DISAGREEING
+from hd_diag.diagnosis.calibration import CERTAIN_SIZE, DISAGREEING, FORETOLD
 
 _DRAWS = 2000  # of a bootstrap
 _ALONE = 1e-10  # share of a column outside a block that is nothing but rounding
@@ -312,8 +312,8 @@ def foretold(gain: Floats, predicted: Floats, variance: Floats) -> float:
 
 
 def _is_between(share: float, margin: float) -> bool:
-    """Whether a share is more than a half by a margin, and beyond two by no more."""
-    return 0.5 + margin < share < 2.0 + margin
+    """Whether a share is beyond the lower end by a margin, and beyond the upper one by no more."""
+    return FORETOLD[0] + margin < share < FORETOLD[1] + margin
 
 
 def interval(gains: Floats, rng: np.random.Generator, over: Floats | None = None) -> tuple[float, float]:
