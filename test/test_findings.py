@@ -105,6 +105,17 @@ def test_torsion_that_goes_with_position_is_no_ramp(family: str, seed: int) -> N
     assert check_ramp(scaled(arm, 1.001), RATIO) is not None
 
 
+def test_torsion_of_a_spring_under_a_noisy_torque_is_no_ramp(record: Record) -> None:
+    """Both are in proportion to the angle, and the noise takes its part from the torque alone."""
+    noise = np.random.default_rng(0).standard_normal((2, record.size))
+    turned = record.input_angle / RATIO
+    torque = 20.0 * turned / float(np.max(np.abs(turned)))
+    output = turned - 4e-5 * torque + 1e-6 * noise[0]
+    sprung = dataclasses.replace(record, torque=torque + 0.5 * noise[1], output_angle=output)
+    assert check_ratio(sprung, RATIO) is None
+    assert check_ramp(sprung, RATIO) is None
+
+
 def test_a_ramp_is_not_looked_for_where_nothing_tells_it_from_torsion(record: Record) -> None:
     wrong = scaled(record, 1.0003)
     assert check_ramp(dataclasses.replace(wrong, has_torque=False), RATIO) is None

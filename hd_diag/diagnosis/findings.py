@@ -20,6 +20,7 @@ _RAMP_MISS = 8e-5  # relative; torsion by gravity leans by half of it over a rob
 _RAMP_ERROR = 1e-4  # [rad]; what is not fitted beside a ramp may lean by this over a recording
 _LEAST_REACH = 2.5  # of a recording at the output [rad]; over less, a wave of the output bends like a ramp
 _PLAIN = 0.5  # of the rest, that a ramp must explain alone
+_BY_TORSION = 1.2  # times what torsion alone may make of it, of which a noisy torque tells too little
 _LESS = 0.999  # of the rest: beyond what two columns take by chance
 _PARTS = 6
 _CLUSTERS = 60
@@ -159,13 +160,11 @@ def _ramp(record: Record, ratio: float) -> tuple[float, float]:
     spread = max(float(slopes.std(ddof=1)) / np.sqrt(_PARTS), float(np.sqrt(np.sum(cluster**2))))
     # The mean at which what only the ramps explain is as large as the rest.
     hidden = float(np.linalg.norm(weight) * np.linalg.norm(rest))
-    # A ramp as large as the part of the torsion that goes with the angle, as gravity's may.
-    torques = slice(wave.stop, wave.stop + 3)
-    loads = scaled[:, torques]
-    torsion = float(np.std(loads @ found[torques]))
-    alike = float(np.var(loads @ np.linalg.lstsq(loads, along, rcond=None)[0]) / max(np.var(along), 1e-300))
-    leaning = alike * torsion / max(float(np.std(along)), 1e-300)
-    return float(slopes.mean()), max(_RAMP_MISS, 6.0 * spread, _PLAIN * hidden, leaning)
+    # What torsion alone may make of it: gravity's goes with the angle, a spring's is in proportion to it.
+    loads = scaled[:, wave.stop : wave.stop + 3]
+    torsion, alike = (loads @ np.linalg.lstsq(loads, one, rcond=None)[0] for one in (error, along))
+    leaning = float(np.std(torsion) * np.var(alike) / max(float(np.std(along)), 1e-300) ** 3)
+    return float(slopes.mean()), max(_RAMP_MISS, 6.0 * spread, _PLAIN * hidden, _BY_TORSION * leaning)
 
 
 def _waves(angle: Floats) -> tuple[Floats, Floats]:
