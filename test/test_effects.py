@@ -22,6 +22,7 @@ from hd_diag.effects import CATALOGUE
 from hd_diag.effects.contact_weights import contact_weights
 from hd_diag.effects.effect import Effect, by_run
 from hd_diag.effects.mesh_torque import MeshTorque
+from hd_diag.effects.quantity import turning
 from hd_diag.effects.signals import Signals
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.model.transmission_error import Kinematics
@@ -42,7 +43,7 @@ VALUES: dict[str, tuple[float, ...]] = {
         *(2e-6, 3.0, 2e-6, 2.0, 1e-6, 1.5, 2e-6, 1.2),
         *(1e-6, 0.9, 1e-6, 0.3, 1e-6, 0.6, 1e-6, 0.2),
     ),
-    "flexspline_pitch": (2e-6, 0.4, 2e-6, 0.9),
+    "flexspline_pitch": (2e-6, 0.4, 2e-6, 0.9, 0.0),
     "tooth_damage": (8e-5, 5e-5, 0.0, 2 * math.pi / 202 * 77),
     "wear_backlash": (5e-6,),
     "torsional_hardening": (-6e-6, 8e-6, 9.0, 38.0, 0.1),
@@ -487,10 +488,17 @@ def test_standard_deviations_are_propagated() -> None:
     effect = EFFECTS["flexspline_pitch"]
     coefficients, _ = truth(effect)
     sigma = 1e-8
-    found = effect.standard_deviations(coefficients, (), sigma**2 * np.eye(4))
+    found = effect.standard_deviations(coefficients, (0.0,), sigma**2 * np.eye(4))
     assert_allclose(found["pitch_2"], sigma, rtol=1e-6)
     assert_allclose(found["pitch_direction_2"], sigma / (2 * 2e-6), rtol=1e-6)
     assert_allclose(found["pitch_direction_4"], sigma / (4 * 2e-6), rtol=1e-6)
+
+
+def test_a_pitch_error_under_a_preload_is_alike_under_any_torque(signals: Signals) -> None:
+    found = EFFECTS["flexspline_pitch"].columns(signals, (1.0,))
+    radius = signals.contact.drive.mesh.geometry.curve.radius
+    expected = np.hstack([turning(order * signals.flexspline_angle) for order in (2, 4)]) / radius
+    assert_allclose(np.abs(found), np.abs(expected), atol=1e-12)
 
 
 def test_lines_of_an_output_encoder_are_a_multiple_of_four(signals: Signals) -> None:

@@ -76,9 +76,18 @@ class ContactWeights:
         slots outward ("radial"); phi the angle of the slot, or of the tooth along the flexspline, tooth 0 at
         zero.
         """
+        responses = self._interpolate(self.table.harmonics(error, orders))
+        return self._sign * responses * self._turned(error, orders)
+
+    def even_harmonics(self, orders: tuple[int, ...]) -> Complexes:
+        """The same of teeth that bear alike under any torque, as where a preload holds both flanks."""
+        return self._sign / self.drive.mesh.geometry.curve.radius * self._turned("tooth", orders)
+
+    def _turned(self, error: Error, orders: tuple[int, ...]) -> Complexes:
+        """``exp(i k phi)`` at the wave generator, of phi where the displaced are; (n, orders)."""
         turns = 1.0 + 1.0 / self.drive.mesh.geometry.reduction if error == "tooth" else 1.0
         turned: Complexes = np.power.outer(np.exp(1j * turns * self.wave_generator_angle), orders)
-        return self._sign * self._interpolate(self.table.harmonics(error, orders)) * turned
+        return turned
 
     def clearance(self) -> Floats:
         """Response to more circumferential clearance on both flanks of all pairs [rad/m], shape (n,)."""

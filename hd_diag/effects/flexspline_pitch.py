@@ -1,4 +1,4 @@
-"""Pitch error of the flexspline, cumulative, by harmonics, through the weights of the contact."""
+"""Pitch error of the flexspline, cumulative, by harmonics: as pairs bear it, or alike under any torque."""
 
 from __future__ import annotations
 
@@ -8,23 +8,27 @@ from typing import Any
 from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Effect, Stepped, Values
 from hd_diag.effects.excitation import enough_output_turns, torque_varies
-from hd_diag.effects.quantity import harmonics, lobes
+from hd_diag.effects.quantity import harmonics, lobes, switch
 from hd_diag.effects.signals import Signals
 
 ORDERS = (2, 4)  # two opposite lobes cancel the odd ones
 
 
 class FlexsplinePitch(Effect):
-    """Circumferential displacement of the teeth ``sum a_k cos k (psi - d_k)``."""
+    """Circumferential displacement of the teeth ``sum a_k cos k (psi - d_k)``, through the contact's weights.
+
+    Alike under any torque, as a preload on both flanks has it: ``sum a_k cos k (theta_F - d_k) / r``.
+    """
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Response to every harmonic; see :meth:`Effect.columns`."""
-        return harmonics(signals.contact.harmonics("tooth", ORDERS))
+        contact, (even,) = signals.contact, nonlinear
+        return harmonics(contact.even_harmonics(ORDERS) if even else contact.harmonics("tooth", ORDERS))
 
     def step(self, state: Any, signals: Signals, coefficients: Floats, nonlinear: Values) -> Stepped:
         """The teeth displaced at their full size; see :meth:`Effect.step`."""
         first = self.columns(signals, nonlinear) @ coefficients
-        return first + signals.contact.teeth_beyond(ORDERS, coefficients), state
+        return first + (0.0 if nonlinear[0] else signals.contact.teeth_beyond(ORDERS, coefficients)), state
 
 
 EFFECT = FlexsplinePitch(
@@ -36,11 +40,15 @@ EFFECT = FlexsplinePitch(
     excitation=(partial(enough_output_turns, turns=1.0), torque_varies),  # parts orders 2 and 2 (1 + 1/N)
     of_teeth=True,
     proportional=False,
-    quantities=lobes(
-        "pitch",
-        ORDERS,
-        "cumulative pitch error, {} periods around",
-        "angle in the flexspline where the teeth are most ahead",
+    grid=((0.0,), (1.0,)),
+    quantities=(
+        *lobes(
+            "pitch",
+            ORDERS,
+            "cumulative pitch error, {} periods around",
+            "angle in the flexspline where the teeth are most ahead",
+        ),
+        switch("even", "0: as the pairs that bear have it, 1: alike under any torque, as by a preload"),
     ),
     confused_with=(
         "circular_spline_pitch",
