@@ -8,6 +8,8 @@ from benches import CONFIGURED, POINT, swinging
 from joint_records import ARCSEC
 from numpy.testing import assert_allclose
 
+from hd_diag.diagnosis.evidence.search import begun
+from hd_diag.diagnosis.evidence.sets import Remainders, Set
 from hd_diag.diagnosis.fit.fit_parameters import DATUM
 from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
@@ -95,3 +97,12 @@ def test_contacts_are_known_up_to_the_reported_torque(found: tuple[LinearisedFit
     model = dataclasses.replace(fit.data.model, record=small)
     limit = model.at(fit.parameters).signals.contact.table.torque_limit
     assert limit >= (1.0 - 1e-12) * np.abs(source.by_sensor).max()
+
+
+def test_what_a_motor_takes_is_looked_for_from_nothing_as_well(found: tuple[LinearisedFit, Refit]) -> None:
+    """It has several minima: where a search would end that begins at a poor one, it does not end now."""
+    fit = found[0].with_noise(found[0].data.given)
+    ((item, _),) = fit.present
+    poor = fit.beside(((item, np.array([-0.5, 0.0, 0.3, 10.0, -5.0])),))
+    there = Set(poor, Remainders.of(fit.data.source, CONFIGURED, 1e-5), (), fit.data.given)
+    assert begun(poor).value > there.valued().settled().polished(5).value + 100.0

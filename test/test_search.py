@@ -17,7 +17,7 @@ from hd_diag.diagnosis.evidence.naming import own_part, standings
 from hd_diag.diagnosis.evidence.search import (
     _better,
     _exchanged,
-    _kinds,
+    _is_better_by_its_noise,
     _next,
     _with_torque_zero,
     begun,
@@ -38,7 +38,8 @@ from hd_diag.diagnosis.gain import Rms, held_out, measured_gain
 from hd_diag.diagnosis.record import Record
 from hd_diag.drive import transmission_error
 from hd_diag.effects.effect import Stage
-from hd_diag.effects.remainders import SPEED
+from hd_diag.effects.quantity import turning
+from hd_diag.effects.remainders import SPEED, TORQUE
 from hd_diag.effects.signals import Signals
 
 ECCENTRIC = {
@@ -268,20 +269,33 @@ def test_the_cause_is_first_and_what_is_chosen_is_no_candidate() -> None:
     assert max(one.gain for one in beside) < 0.1 * first.gain
 
 
-def test_a_set_that_was_left_for_another_is_left_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With noise learned beside each of two sets the other one may seem better: they end with the larger."""
-    at, left = begun(bench(OVAL)), set[Any]()
-    found, _ = _better(at, {}, left)
+def test_nonlinear_values_are_fitted_before_blocks_are_asked() -> None:
+    """At the nearest natural frequency of the grid they do not foretell a resonance that is there."""
+    at = begun(bench(shaped("resonance", [3.0 * ARCSEC, 0.0, 1.0], (2.0, 55.0, 0.02))))
+    first, *_ = candidates(at)
+    assert first.name == "resonance"
+    assert not at.beside(first.item, first.widths).foretells("resonance")
+    found = _next(at)
     assert found is not None
-    assert (found.names, left) == ({"circular_spline_form"}, set())
-    again, _ = _better(at, {}, left := {_kinds(found.causes)})
-    assert again is not None
-    assert _kinds(at.causes) in left
+    assert found.names == {"resonance"}
+    assert found.foretells("resonance")
+
+
+def test_of_two_sets_neither_gives_way_to_the_other_and_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With noise learned beside each the other one may seem better: a better set is so by either noise."""
+    at = begun(bench(OVAL))
+    found, _ = _better(at, {})
+    assert found is not None
+    assert found.names == {"circular_spline_form"}
+    assert _is_better_by_its_noise(found, at)
+    assert not _is_better_by_its_noise(at, found)
+    seeming = dataclasses.replace(at, value=found.value + 1e6)
     monkeypatch.setattr("hd_diag.diagnosis.evidence.search.candidates", lambda one: [])
-    better = dataclasses.replace(at, value=found.value + 1e6)
-    monkeypatch.setattr(Set, "without", lambda now, name: better)
+    monkeypatch.setattr(Set, "without", lambda now, name: seeming)
     monkeypatch.setattr(Set, "settled", lambda now, rounds=0: now)
-    assert _exchanged(dataclasses.replace(found, before=None), {}, left)[0] is None
+    other, instead = _exchanged(dataclasses.replace(found, before=None), {})
+    assert other is None
+    assert instead == {"circular_spline_form": {"": pytest.approx(1e6)}}
 
 
 def test_without_its_last_cause_a_set_is_worth_what_it_was_before(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -296,7 +310,7 @@ def test_without_its_last_cause_a_set_is_worth_what_it_was_before(monkeypatch: p
     monkeypatch.setattr(Set, "settled", lambda now, rounds=0: now)
     monkeypatch.setattr("hd_diag.diagnosis.evidence.search.candidates", lambda one: [])
     for before, odds in ((found.before, at.on(found).value - found.value), (None, -1e6)):
-        _, instead = _exchanged(dataclasses.replace(found, before=before), {}, set())
+        _, instead = _exchanged(dataclasses.replace(found, before=before), {})
         assert instead == {"circular_spline_form": {"": pytest.approx(odds, abs=1e-6)}}
 
 
@@ -511,6 +525,27 @@ def test_two_causes_undo_each_other_only_if_they_are_of_a_size(
         return np.asarray(ARCSEC * (sizes[0] * np.cos(signals.output_angle) + sizes[1] * bump))
 
     assert chosen_set(bench(both), *items).sensible is sensible
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_cause_that_another_torsion_undoes_is_none(sign: float) -> None:
+    """Under a weight the torque goes with the output's place, as an encoder's eccentricity does."""
+    record, stiff = swinging(), POINT.copy()
+    stiff[COMPLIANCE] *= 0.5
+    torque = 35.0 + 30.0 * np.cos(record.input_angle / RATIO + 0.6) + 0.5 * np.sin(4.0 * record.time)
+    true, stiffer = (
+        transmission_error(fit_parameters.drive_of(point, CONFIGURED), record.input_angle, torque)
+        for point in (POINT, stiff)
+    )
+    waves = np.hstack([turning(order * record.input_angle / RATIO) for order in (1, 2)])
+    read = sign * waves @ np.linalg.lstsq(waves, true - stiffer, rcond=None)[0]
+    noise = NOISE * np.random.default_rng(1).standard_normal(record.size)
+    output = record.input_angle / RATIO + stiffer + read + noise
+    weight = dataclasses.replace(record, torque=torque, reported_torque=torque, output_angle=output)
+    fit = linearise(weight, CONFIGURED, stiff).with_noise(())
+    item, usual = (EFFECTS["output_encoder_eccentricity"], ()), Remainders(((TORQUE, (2e-6, 0.0, 70.0)),))
+    there = Set(fit, usual, (item,), widths={TORQUE.name: 1.0, item[0].name: 10.0})
+    assert there.sensible is (sign < 0.0)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

@@ -102,6 +102,10 @@ ANOTHER = 3.0
 UNDONE = 0.5
 """Share of what a cause does that others may undo: chosen. Two that undo each other further are neither."""
 
+NOT_BY_TORQUE = 0.1
+"""Share of a cause that no function of the torque makes, from which torsion undoes none: chosen. Joints whose
+torque goes with the place had a thirtieth where nothing was there, and a third of a true cause."""
+
 NOTICED = 0.25
 """Share of the accuracy, peak to peak, from which a remainder that is larger than usual asks to be watched: a
 convention."""

@@ -128,12 +128,20 @@ def begun(fit: LinearisedFit) -> Set:
     finite = slope[np.isfinite(slope)]  # it is without end in the gap between the flanks
     compliance = float(np.median(finite)) if finite.size else 0.0
     start = Set(fit, Remainders.of(fit.data.source, drive, compliance), (), fit.data.given)
-    return start.valued().settled().polished(_TO_MINIMUM)
+    first = start.valued().settled().polished(_TO_MINIMUM)
+    return max(first, *_by_no_motor(first), key=lambda one: one.value) if first.motor else first
+
+
+def _by_no_motor(at: Set) -> list[Set]:
+    """The same from where a motor takes nothing of its current: what it takes has several minima."""
+    ((effect, _),) = at.motor
+    points = [(effect, nonlinear) for nonlinear in effect.grid]
+    nothing = np.zeros(at.fit.places(at.given)[-1].stop - at.fit.places(at.given)[-1].start)
+    starts = [replace(at, fit=at.fit.beside(((one, nothing),)), motor=(one,), widths={}) for one in points]
+    return [one.valued().settled().polished(_TO_MINIMUM) for one in starts]
 
 
 Instead = dict[str, dict[str, float]]
-Kind = tuple[str, tuple[float, ...]]  # a cause's name and choices
-Left = set[frozenset[Kind]]
 
 
 @dataclass(frozen=True)
@@ -196,11 +204,11 @@ def search(
     better, reach = _along_datum_in_time(scanned, rows)
     if better is not scanned:
         minima.insert(0, better)
-    instead, left, restarts = Instead(), Left(), 0
+    instead, restarts = Instead(), 0
     with work.until(SEARCHED, FURTHER_CAUSES):
         for turn in range(_TURNS):
             _tell(work, 0.0, turn, f"looking for cause {len(minima[0].causes) + 1}")
-            found, instead = _better(minima[0].clear().relearned(), {}, left)
+            found, instead = _better(minima[0].clear().relearned(), {})
             if found is not None:
                 minima[0] = found.polished(_TO_MINIMUM)
                 continue
@@ -218,12 +226,12 @@ def search(
     best, known = minima[0].moved_to(every).settled(_TO_MINIMUM).polished(), _plain(instead)
     if best.fit.held:  # all rows may show a displacement that some do not
         best = max(best, best.at(starts[0].parameters).settled(_TO_MINIMUM), key=lambda one: one.value)
-    instead, left = known, Left()
+    instead = known
     with work.until(SEARCHED, FURTHER_CAUSES):
         for turn in range(_TURNS):
             _tell(work, 0.5, turn, "weighing causes on all rows")
             now = best.clear().relearned()
-            found, instead = _better(now, known, left)
+            found, instead = _better(now, known)
             best = now if found is None else found
             if found is None:
                 break
@@ -237,25 +245,19 @@ def _tell(work: Work, half: float, turn: int, text: str) -> None:
     work.tell(_FIRST + (SEARCHED - _FIRST) * share, text)
 
 
-def _better(now: Set, known: Instead, left: Left) -> tuple[Set | None, Instead]:
+def _better(now: Set, known: Instead) -> tuple[Set | None, Instead]:
     """A set with one cause more, or another in the place of one; None where none is better.
 
-    Of some causes it may be `known` that nothing is. Of two sets with noise learned beside each the other one
-    may seem better: what is `left` is gone back to with one cause more, and the lesser then left for good. To
-    one that is senseless with its own noise nothing goes back.
+    Of some causes it may be `known` that nothing is.
     """
     found = _next(now) if len(now.causes) < _MOST else None
-    if found is not None and _kinds(found.causes) in left:
-        if found.relearned().sensible:
-            left.add(_kinds(now.causes))
-        else:
-            found = None
-    if found is not None:
-        return _fewer(found), known
-    found, instead = _exchanged(now, known, left)
-    if found is not None:
-        left.add(_kinds(now.causes))
-    return found, instead
+    return (_fewer(found), known) if found is not None else _exchanged(now, known)
+
+
+def _is_better_by_its_noise(one: Set, now: Set) -> bool:
+    """Whether a better set is so with the noise learned beside it too: else each gave way to the other."""
+    own = one.relearned()
+    return own.sensible and own.value > now.on(own).value
 
 
 def _plain(instead: Instead) -> Instead:
@@ -324,7 +326,7 @@ def _with_torque_zero(at: Set, zero: float) -> Set | None:
     return there.clear().settled(8)
 
 
-def _exchanged(now: Set, known: Instead, left: Left) -> tuple[Set | None, Instead]:
+def _exchanged(now: Set, known: Instead) -> tuple[Set | None, Instead]:
     """A better set with another cause in the place of one, if there is any; and what was weighed for each."""
     instead, senseless = Instead(), now.senseless  # by the noise learned beside it
     for effect, nonlinear in now.causes:
@@ -345,35 +347,27 @@ def _exchanged(now: Set, known: Instead, left: Left) -> tuple[Set | None, Instea
         for one in ranked[:_RIVALS]:
             if _kind(one.item) != itself and one.gain > least:
                 there = without.beside(one.item, one.widths).settled()
-                if not (there.sensible and there.foretells(one.name)):
-                    continue
-                trials.append(there)
-                if there.value > now.value - _NEARLY:
-                    better = there.polished()
-                    trials += [better] if better.foretells(one.name) else []
+                if there.sensible:
+                    tried = [there, there.polished()] if there.value > now.value - _NEARLY else [there]
+                    trials += [each for each in tried if each.foretells(one.name)]
         best = max(trials, key=lambda one: one.value)
-        worth = -math.inf if effect.name in senseless else now.value
-        if best.value > worth and _kinds(best.causes) not in left:
+        if effect.name in senseless or (best.value > now.value and _is_better_by_its_noise(best, now)):
             return best, {}
         odds = dict[str, float]()
         for trial in trials:
             name = "".join(trial.names - without.names)
             odds[name] = max(trial.value - now.value, odds.get(name, -math.inf))
-        if odds[""] > 0.0 and _kinds(without.causes) not in left:
+        if odds[""] > 0.0 and _is_better_by_its_noise(without, now):
             return without, {}
         instead[effect.name] = odds
     return None, instead
 
 
-def _kind(item: Item) -> Kind:
+def _kind(item: Item) -> tuple[str, tuple[float, ...]]:
     """A cause's name and the discrete ones of its nonlinear values: which tooth, which form."""
     effect, nonlinear = item
     pairs = zip(effect.nonlinear, nonlinear, strict=True)
     return effect.name, tuple(value for quantity, value in pairs if quantity.discrete)
-
-
-def _kinds(causes: Sequence[Item]) -> frozenset[Kind]:
-    return frozenset(map(_kind, causes))
 
 
 def _along_datum_in_time(best: Set, rows: int) -> tuple[Set, float]:
@@ -456,16 +450,17 @@ def _next(now: Set) -> Set | None:
 def _best_of(near: Sequence[Candidate], now: Set) -> Set | None:
     """The best set with one of some candidates more; None where none is better than without."""
     there = [(one.name, now.beside(one.item, one.widths)) for one in near]
-    # What blocks do not foretell where the fit stands they hardly do a step away.
-    settled = [(name, one.settled()) for name, one in there if one.foretells(name)]
-    trials = [(name, one) for name, one in settled if one.sensible and one.foretells(name)]
+    # What blocks do not foretell where the fit stands, they do a step away only with other nonlinear values.
+    settled = [(name, one.settled()) for name, one in there if one.may_foretell(name)]
+    trials = [(name, one) for name, one in settled if one.sensible and one.may_foretell(name)]
     trials.sort(key=lambda pair: -pair[1].value)
     best = max([now.value, *(one.value for _, one in trials)])
     polished = [(name, one.polished()) for name, one in trials[:_POLISHED] if one.value > best - _NEARLY]
     # Polished, a cause may fit what blocks do not foretell: then it stays as it was.
     better = [(name, one) for name, one in (*polished, *trials) if one.sensible and one.value > now.value]
     better.sort(key=lambda pair: -pair[1].value)
-    return next((one for name, one in better if one.foretells(name)), None)
+    foretold = (one for name, one in better if one.foretells(name))
+    return next((one for one in foretold if _is_better_by_its_noise(one, now)), None)
 
 
 def _may_be_elsewhere(at: Set) -> bool:

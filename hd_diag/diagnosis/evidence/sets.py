@@ -7,11 +7,13 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis import calibration
 from hd_diag.diagnosis.evidence.evidence import Columns, Evidence
-from hd_diag.diagnosis.fit.design import foretold, holds
+from hd_diag.diagnosis.fit.design import foretold, holds, projection
+from hd_diag.diagnosis.fit.fit_parameters import TORSION
 from hd_diag.diagnosis.fit.joint_refinement import free, polished, sensible, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.present_effects import Item
@@ -150,6 +152,10 @@ class Set:
         better = replace(self, fit=fit, motor=chosen[first:last], causes=chosen[last:]).valued()
         return better if better.value > self.value and better.senseless <= self.senseless else self
 
+    def may_foretell(self, name: str) -> bool:
+        """Whether a cause holds in blocks, or may with other nonlinear values."""
+        return any(free(effect) for effect, _ in self.causes if effect.name == name) or self.foretells(name)
+
     def foretells(self, name: str) -> bool:
         """Whether a cause holds in blocks of the record that others foretell: evidence believes the model.
 
@@ -255,15 +261,31 @@ class Set:
         found = {item[0].name for item, one in zip(self.chosen, good, strict=True) if not one}
         if not self.causes:
             return frozenset(found)
-        sized = self.fit.sized(self.chosen, self.fit.fit(self.chosen)[0])
+        beta = self.fit.fit(self.chosen)[0]
+        sized = self.fit.sized(self.chosen, beta)
         counted = [one for one in sized if one[0] in self.causes or one[0][0] in (LOOP, SPEED)]
         parts = np.array([self.fit.columns(*item) @ own for item, own in counted])
         parts -= parts.mean(axis=1, keepdims=True)
         causes = parts[-len(self.causes) :]
         left = causes + (causes @ parts.T < 0.0) @ parts  # beside all of the other sign
         size, rest = (np.linalg.norm(one, axis=1) for one in (causes, left))
-        undone = rest < (1.0 - calibration.UNDONE) * size
+        undone = (rest < (1.0 - calibration.UNDONE) * size) | self._of_torsion(causes, beta)
         return frozenset(found.union(self.causes[index][0].name for index in np.flatnonzero(undone)))
+
+    def _of_torsion(self, causes: Floats, beta: Floats) -> npt.NDArray[np.bool_]:
+        """Which causes (k, n), by a fit's coefficients, stand for a part of the torsion.
+
+        A torsion off the configured undoes most of them, and functions of the torque could make nearly all.
+        """
+        torsion, size = self.fit.torsion(beta), np.linalg.norm(causes, axis=1)
+        greater = np.maximum(size, np.linalg.norm(torsion - torsion.mean()))
+        undone = causes @ torsion < -calibration.UNDONE * size * greater
+        if undone.any():
+            by_torque = [self.fit.columns(*one) for one in self.given if one[0] is TORQUE]
+            columns = np.concatenate((self.fit.jacobian[:, TORSION], *by_torque), axis=1)
+            own = causes - projection(columns - columns.mean(axis=0), causes.T).T
+            undone &= np.linalg.norm(own, axis=1) < calibration.NOT_BY_TORQUE * size
+        return np.asarray(undone)
 
 
 def presence(fit: LinearisedFit, effect: Effect) -> float:

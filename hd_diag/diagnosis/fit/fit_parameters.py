@@ -62,6 +62,9 @@ DATUM, COMPLIANCE, CUP = (
 )
 """Numbers of the datum and of the two compliances."""
 
+TORSION = [DATUM, COMPLIANCE, CUP]
+"""Numbers of those that make the torsion."""
+
 _PAIRS = {name: slice(own[0], own[1] + 1) for name, own in GROUPS.items() if len(own) == 2}
 TILT = _PAIRS["tilt"]
 """Numbers of the tilt, none where there is one section."""

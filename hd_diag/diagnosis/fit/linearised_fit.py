@@ -13,6 +13,7 @@ import numpy.typing as npt
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.design import Design, design, inverse, orthonormal
+from hd_diag.diagnosis.fit.fit_parameters import TORSION
 from hd_diag.diagnosis.fit.fitted_rows import FittedRows
 from hd_diag.diagnosis.fit.mesh_torques import mesh_torques
 from hd_diag.diagnosis.fit.present_effects import Item, PresentEffects, Sized, names, plain
@@ -278,6 +279,12 @@ class LinearisedFit:
         if key not in known:
             known[key] = self.columns(*item).shape[1]
         return known[key]
+
+    def torsion(self, beta: Floats) -> Floats:
+        """What datum and compliances of a fit, by its coefficients (k,), do beyond the configured, (n,)."""
+        configured = fit_parameters.vector(self.data.configured, self.data.configured)
+        step = self.parameters + beta[: self.parameters.size] - configured
+        return np.asarray(self.jacobian[:, TORSION] @ step[TORSION])
 
     def remainder(self, chosen: Chosen) -> Floats:
         """Residual of a fit with some effects, shape (n,) [rad]."""
