@@ -80,14 +80,22 @@ class ContactWeights:
         return self._sign * responses * self._turned(error, orders)
 
     def even_harmonics(self, orders: tuple[int, ...]) -> Complexes:
-        """The same of teeth that bear alike under any torque, as where a preload holds both flanks."""
-        return self._sign / self.drive.mesh.geometry.curve.radius * self._turned("tooth", orders)
+        """Responses [rad/m] of teeth that bear alike under any torque, as a preload has them, (n, orders).
+
+        Where teeth are ahead the flexspline stays behind by their displacement over the radius.
+        """
+        return -self._sign / self.drive.mesh.geometry.curve.radius * self._turned("tooth", orders)
 
     def _turned(self, error: Error, orders: tuple[int, ...]) -> Complexes:
         """``exp(i k phi)`` at the wave generator, of phi where the displaced are; (n, orders)."""
-        turns = 1.0 + 1.0 / self.drive.mesh.geometry.reduction if error == "tooth" else 1.0
-        turned: Complexes = np.power.outer(np.exp(1j * turns * self.wave_generator_angle), orders)
+        angle = self.flexspline_angle if error == "tooth" else self.wave_generator_angle
+        turned: Complexes = np.power.outer(np.exp(1j * angle), orders)
         return turned
+
+    @property
+    def flexspline_angle(self) -> Floats:
+        """theta_F = theta_W (1 + 1/N), the wave generator seen from the flexspline [rad], shape (n,)."""
+        return np.asarray(self.wave_generator_angle * (1.0 + 1.0 / self.drive.mesh.geometry.reduction))
 
     def clearance(self) -> Floats:
         """Response to more circumferential clearance on both flanks of all pairs [rad/m], shape (n,)."""
@@ -152,8 +160,8 @@ class ContactWeights:
             return np.zeros(self.torque.size)
         table = self.table.teeth_beyond(orders, tuple(rounded.tolist()))
         table = self._sign * (size / solved) ** 2 * table
-        turned = self.wave_generator_angle * (1.0 + 1.0 / self.drive.mesh.geometry.reduction)
-        (low, low_share), (high, high_share) = _neighbours(np.mod(turned, np.pi) * (PHASES / np.pi), PHASES)
+        turned = np.mod(self.flexspline_angle, np.pi)
+        (low, low_share), (high, high_share) = _neighbours(turned * (PHASES / np.pi), PHASES)
         result = np.zeros(self.torque.size)
         for torque_row, angle_row, share in self._cells():
             first = table[low, torque_row, angle_row]

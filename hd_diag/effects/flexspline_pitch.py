@@ -17,7 +17,7 @@ ORDERS = (2, 4)  # two opposite lobes cancel the odd ones
 class FlexsplinePitch(Effect):
     """Circumferential displacement of the teeth ``sum a_k cos k (psi - d_k)``, through the contact's weights.
 
-    Alike under any torque, as a preload on both flanks has it: ``sum a_k cos k (theta_F - d_k) / r``.
+    A preload on both flanks makes it alike under any torque: ``-sum a_k cos k (theta_F - d_k) / r``.
     """
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:

@@ -108,9 +108,8 @@ class Signals:
 
     @property
     def flexspline_angle(self) -> Floats:
-        """theta_F = theta_W (1 + 1/N), the wave generator seen from the flexspline [rad], shape (n,)."""
-        reduction = self.contact.drive.mesh.geometry.reduction
-        return np.asarray(self.wave_generator_angle * (1.0 + 1.0 / reduction))
+        """theta_F, the wave generator seen from the flexspline [rad], shape (n,)."""
+        return self.contact.flexspline_angle
 
     def bearing(self, torque: Floats) -> Signals:
         """The same with a mesh that bears another torque (n,) [N m]; the prediction stays."""
