@@ -129,15 +129,14 @@ def begun(fit: LinearisedFit) -> Set:
     compliance = float(np.median(finite)) if finite.size else 0.0
     start = Set(fit, Remainders.of(fit.data.source, drive, compliance), (), fit.data.given)
     first = start.valued().settled().polished(_TO_MINIMUM)
-    return max(first, *_by_no_motor(first), key=lambda one: one.value) if first.motor else first
+    return max([first, *_by_no_motor(first)], key=lambda one: one.value)
 
 
 def _by_no_motor(at: Set) -> list[Set]:
     """The same from where a motor takes nothing of its current: what it takes has several minima."""
-    ((effect, _),) = at.motor
-    points = [(effect, nonlinear) for nonlinear in effect.grid]
-    nothing = np.zeros(at.fit.places(at.given)[-1].stop - at.fit.places(at.given)[-1].start)
-    starts = [replace(at, fit=at.fit.beside(((one, nothing),)), motor=(one,), widths={}) for one in points]
+    points = [(effect, nonlinear) for effect, _ in at.motor for nonlinear in effect.grid]
+    nothing = [(one, np.zeros(one[0].size)) for one in points]
+    starts = [replace(at, fit=at.fit.beside((one,)), motor=(one[0],), widths={}) for one in nothing]
     return [one.valued().settled().polished(_TO_MINIMUM) for one in starts]
 
 

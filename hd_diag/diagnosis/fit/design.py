@@ -242,7 +242,7 @@ def orthonormal(columns: Floats) -> Floats:
 
 
 def projection(columns: Floats, target: Floats) -> Floats:
-    """Part of a target that columns of any scale explain, shape (n,)."""
+    """Part of a target (n,), or of several (n, k), that columns of any scale explain; in its shape."""
     return np.asarray(columns @ solve(columns.T @ columns, columns.T @ target))
 
 
