@@ -52,7 +52,7 @@ def with_friction() -> Set:
     before = begun(bench(RUBBING))
     best = candidates(before)[0]
     assert best.name == "coulomb_windup"
-    return before.beside(best.item, best.widths).settled().relearned()
+    return before.beside(best.item, best.widths).settled().relearned
 
 
 def test_every_effect_is_judged_once() -> None:

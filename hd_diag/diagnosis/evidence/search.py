@@ -192,7 +192,7 @@ def search(
     """
     work = every.work
     first = begun(starts[0].with_noise(starts[0].data.given))
-    whiten = first.relearned().fit.whiten
+    whiten = first.relearned.fit.whiten
     minima = [begun(replace(start, whiten=whiten)) for start in starts]
     if turned := _with_torque_zero(minima[0].at(starts[0].parameters), torque_zero):
         minima = [one.on(turned) for one in minima]
@@ -207,7 +207,7 @@ def search(
     with work.until(SEARCHED, FURTHER_CAUSES):
         for turn in range(_TURNS):
             _tell(work, 0.0, turn, f"looking for cause {len(minima[0].causes) + 1}")
-            found, instead = _better(minima[0].clear().relearned(), {})
+            found, instead = _better(minima[0].clear().relearned, {})
             if found is not None:
                 minima[0] = found.polished(_TO_MINIMUM)
                 continue
@@ -229,7 +229,7 @@ def search(
     with work.until(SEARCHED, FURTHER_CAUSES):
         for turn in range(_TURNS):
             _tell(work, 0.5, turn, "weighing causes on all rows")
-            now = best.clear().relearned()
+            now = best.clear().relearned
             found, instead = _better(now, known)
             best = now if found is None else found
             if found is None:
@@ -255,7 +255,7 @@ def _better(now: Set, known: Instead) -> tuple[Set | None, Instead]:
 
 def _is_better_by_its_noise(one: Set, now: Set) -> bool:
     """Whether a better set is so with the noise learned beside it too: else each gave way to the other."""
-    own = one.relearned()
+    own = one.relearned
     return own.sensible and own.value > now.on(own).value
 
 
@@ -441,14 +441,15 @@ def _next(now: Set) -> Set | None:
             break
         near = [one for one in ranked[:_TRIED] if one.gain > ranked[0].gain - _CLOSE]
         if (found := _best_of(near, now)) is not None:
-            return replace(found, before=replace(now, before=None))
+            return found
         ranked = [one for one in ranked if one not in near]
     return None
 
 
 def _best_of(near: Sequence[Candidate], now: Set) -> Set | None:
     """The best set with one of some candidates more; None where none is better than without."""
-    there = [(one.name, now.beside(one.item, one.widths)) for one in near]
+    before = replace(now, before=None)
+    there = [(one.name, replace(now.beside(one.item, one.widths), before=before)) for one in near]
     # What blocks do not foretell where the fit stands, they do a step away only with other nonlinear values.
     settled = [(name, one.settled()) for name, one in there if one.may_foretell(name)]
     trials = [(name, one) for name, one in settled if one.sensible and one.may_foretell(name)]

@@ -174,6 +174,7 @@ class Set:
         worth = 0.5 * calibration.TEMPER * there
         return worth > -presence(self.fit, item[0]) and holds(gain, predicted, variance)
 
+    @cached_property
     def relearned(self) -> Set:
         """With noise learned beside it, valued anew: the evidence of other noise is not comparable."""
         before = self.fit.whiten
