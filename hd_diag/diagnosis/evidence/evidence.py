@@ -8,9 +8,9 @@ Neural Computation 4, 1992; Miller and Dunson, J. Am. Stat. Assoc. 114, 2019).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import LinAlgError, block_diag, cholesky, solve_triangular
@@ -20,8 +20,8 @@ from hd_diag.diagnosis.calibration import TEMPER
 
 Widths = Mapping[str, float]
 
-# Name, whitened columns (n, k), their usual sizes (k,), widths of the prior and what a larger one costs.
-Columns = tuple[str, Floats, Floats, tuple[float, ...], float]
+# Usual sizes of a group's columns (k,), widths that their prior may have, and what each larger one costs.
+Prior = tuple[Floats, tuple[float, ...], float]
 
 _WIDE = 1e-2  # prior deviation of the encoders' zeros [rad]: as good as free
 _ROUNDS = 4  # of a search for the best widths
@@ -61,6 +61,8 @@ class Evidence:
         Tempered, of columns in units of their usual size.
     moment : ndarray, shape (k,)
     square : float
+    unit : ndarray, shape (k,)
+        Those sizes.
     base : int
         Number of the first columns, which every set has; their units make the prior a standard normal one.
     pull : ndarray, shape (base,)
@@ -72,59 +74,67 @@ class Evidence:
     gram: Floats
     moment: Floats
     square: float
+    unit: Floats
     base: int
     pull: Floats
     groups: dict[str, Group]
 
     @staticmethod
     def of(
-        columns: Sequence[Floats],
-        target: Floats,
+        gram: Floats,
+        moment: Floats,
+        square: float,
         precision: Floats,
         pull: Floats,
-        groups: Iterable[Columns],
-        apart: Iterable[Columns] = (),
+        groups: Iterable[tuple[str, Prior]],
     ) -> Evidence:
-        """From whitened columns.
+        """From normal equations of whitened columns: the base, then group by group.
 
         Parameters
         ----------
-        columns : sequence of ndarray, shape (n, k)
-            That every set has.
-        target : ndarray, shape (n,)
+        gram : ndarray, shape (k, k)
+        moment : ndarray, shape (k,)
+        square : float
         precision, pull : ndarray, shape (base,)
-            Prior of those.
+            Prior of what every set has.
         groups : iterable
-            What may be in a set.
-        apart : iterable
-            What may be in none beside another one of these: products of two are not made.
+            What may be in a set, by name.
         """
-        own = np.where(precision > 0.0, np.maximum(precision, 1e-300) ** -0.5, _WIDE)
-        parts, places = [np.concatenate(columns, axis=1) * own], dict[str, Group]()
-        at = parts[0].shape[1]
-        for name, part, usual, widths, larger in groups:
-            parts.append(part * usual)
-            places[name] = Group(np.arange(at, at := at + part.shape[1]), widths, larger)
-        common, size = np.concatenate(parts, axis=1), at
-        inner, across, moments = [common.T @ common], [np.empty((size, 0))], [common.T @ target]
+        units = [np.where(precision > 0.0, np.maximum(precision, 1e-300) ** -0.5, _WIDE)]
+        at, places = precision.size, dict[str, Group]()
+        for name, (usual, widths, larger) in groups:
+            units.append(usual)
+            places[name] = Group(np.arange(at, at := at + usual.size), widths, larger)
+        unit = np.concatenate(units)
+        whole = TEMPER * unit[:, None] * gram * unit
+        own = TEMPER * unit * moment, TEMPER * square, unit
+        return Evidence(whole, *own, precision.size, pull / units[0], places)
+
+    def beside(self, columns: Floats, target: Floats, apart: Iterable[tuple[str, Floats, Prior]]) -> Evidence:
+        """With groups of which no set has two: their products are not made.
+
+        Parameters
+        ----------
+        columns : ndarray, shape (n, k)
+            Whitened, of which the normal equations are.
+        target : ndarray, shape (n,)
+        apart : iterable
+            Names, whitened columns and priors.
+        """
+        at, places = self.moment.size, dict(self.groups)
+        inner, across, moments, units = list[Floats](), list[Floats](), [self.moment], [self.unit]
         for some in _together(apart):
-            for name, part, _, widths, larger in some:
-                places[name] = Group(np.arange(at, at := at + part.shape[1]), widths, larger)
-            more = np.concatenate([part * usual for _, part, usual, _, _ in some], axis=1)
-            inner.append(more.T @ more)
-            across.append(common.T @ more)
-            moments.append(more.T @ target)
-        gram, moment = block_diag(*inner), np.concatenate(moments)
-        gram[:size, size:] = np.concatenate(across, axis=1)
+            for name, _, (usual, widths, larger) in some:
+                units.append(usual)
+                places[name] = Group(np.arange(at, at := at + usual.size), widths, larger)
+            more = np.concatenate([part * usual for _, part, (usual, *_) in some], axis=1)
+            inner.append(TEMPER * (more.T @ more))
+            across.append(TEMPER * self.unit[:, None] * (columns.T @ more))
+            moments.append(TEMPER * (more.T @ target))
+        gram, moment, size = block_diag(self.gram, *inner), np.concatenate(moments), self.moment.size
+        gram[:size, size:] = np.concatenate([np.empty((size, 0)), *across], axis=1)
         gram[size:, :size] = gram[:size, size:].T
-        return Evidence(
-            TEMPER * gram,
-            TEMPER * moment,
-            TEMPER * float(target @ target),
-            own.size,
-            pull / own,
-            places,
-        )
+        return replace(self, gram=gram, moment=moment, unit=np.concatenate(units), groups=places)
 
     def log(self, widths: Widths) -> float:
         """Log evidence of a set with these prior widths, but for a constant and the priors of presence."""
@@ -216,12 +226,14 @@ class Evidence:
         return at, scale, right, solved, root
 
 
-def _together(groups: Iterable[Columns]) -> Iterator[list[Columns]]:
+def _together(
+    groups: Iterable[tuple[str, Floats, Prior]],
+) -> Iterator[list[tuple[str, Floats, Prior]]]:
     """Some groups at a time."""
-    some: list[Columns] = []
+    some: list[tuple[str, Floats, Prior]] = []
     for group in groups:
         some.append(group)
-        if sum(columns.shape[1] for _, columns, *_ in some) >= _BATCH:
+        if sum(columns.shape[1] for _, columns, _ in some) >= _BATCH:
             yield some
             some = []
     if some:

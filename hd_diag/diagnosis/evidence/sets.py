@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis import calibration
-from hd_diag.diagnosis.evidence.evidence import Columns, Evidence
+from hd_diag.diagnosis.evidence.evidence import Evidence, Prior
 from hd_diag.diagnosis.fit.design import foretold, holds, projection
 from hd_diag.diagnosis.fit.fit_parameters import TORSION
 from hd_diag.diagnosis.fit.joint_refinement import free, polished, sensible, settle
@@ -25,7 +25,6 @@ from hd_diag.effects.remainders import LOOP, ORDERS, PLACE, SPEED, TIME, TORQUE,
 
 Widths = Mapping[str, float]
 
-_HELD = 1e24  # precision of what does not move, in units of the parameters
 _WANDERING = 0.3  # of a cause's usual size, that its size may wander by
 
 
@@ -51,7 +50,9 @@ class Remainders:
 
     def at(self, widths: Widths) -> Chosen:
         """The same at sizes of so many times the usual one."""
-        return tuple((effect, (widths[effect.name] * size, *ends)) for effect, (size, *ends) in self.items)
+        return tuple(
+            (effect, (widths.get(effect.name, 1.0) * size, *ends)) for effect, (size, *ends) in self.items
+        )
 
 
 def _range(values: Floats) -> tuple[float, float]:
@@ -91,8 +92,8 @@ class Set:
 
     @property
     def given(self) -> Chosen:
-        """What is no cause: remainders, and what a motor takes of its current."""
-        return (*self.remainders.at(self.widths), *self.motor)
+        """What is no cause: what a motor takes of its current, and remainders."""
+        return (*self.motor, *self.remainders.at(self.widths))
 
     @property
     def chosen(self) -> Chosen:
@@ -105,21 +106,26 @@ class Set:
         return frozenset(effect.name for effect, _ in self.causes)
 
     def evidence(self, candidates: Iterable[tuple[str, Item]] = ()) -> Evidence:
-        """Normal equations of the set and of candidates, by names; those of the set by the effect's."""
-        fit = self.fit
-        own = [
-            (effect.name, (effect, nonlinear)) for effect, nonlinear in (*self.remainders.items, *self.causes)
-        ]
-        fixed = self.motor
-        precision, pull = fit.prior(fixed)
-        # What a parameter on its bound would explain beyond it counts for no set.
-        held, steps = fit.on_bounds(self.chosen if self.widths else fixed)
-        target = fit.residual_white - fit.always_white[:, held] @ steps
-        precision[held], pull[held] = _HELD, 0.0
-        columns = [fit.always_white, *(fit.white(*item) for item in fixed)]
-        groups = (_group(fit, *one) for one in own)
-        apart = (_group(fit.roughly(item[0]), name, item) for name, item in candidates)
-        return Evidence.of(columns, target, precision, pull, groups, apart)
+        """Of the set and of candidates, by names; the set's are the effects'.
+
+        What a parameter on its bound would explain beyond it counts for no set.
+        """
+        fit, chosen, fixed = self.fit, self.chosen, len(self.motor)
+        built = fit.design(chosen)
+        priors = (
+            (effect.name, _prior(effect, place.stop - place.start, self.widths.get(effect.name, 1.0)))
+            for (effect, _), place in zip(chosen[fixed:], fit.places(chosen)[fixed:], strict=True)
+        )
+        normal = (one.sum(axis=0) for one in (built.gram, built.moment))
+        found = Evidence.of(*normal, float(built.square.sum()), *fit.prior(self.motor), priors)
+        if not (others := list(candidates)):
+            return found
+        columns, (held, steps) = fit.whitened(chosen), fit.on_bounds(chosen)
+        target = fit.residual_white - columns[:, held] @ steps
+        columns[:, held] = 0.0
+        whites = ((name, item[0], fit.roughly(item[0]).white(*item)) for name, item in others)
+        apart = ((name, white, _prior(effect, white.shape[1])) for name, effect, white in whites)
+        return found.beside(columns, target, apart)
 
     def valued(self) -> Set:
         """With the best widths and the evidence where the fit stands."""
@@ -137,19 +143,17 @@ class Set:
 
     def settled(self, rounds: int = 0) -> Set:
         """Moved to the best parameters and sizes, widths tuned there."""
-        found = self if self.widths else self.valued()
-        chosen = found.chosen
-        return replace(
-            found, fit=settle(found.fit.corrected(chosen), chosen, rounds or self.rounds, learn=False)
-        ).valued()
+        chosen = self.chosen
+        fit = settle(self.fit.corrected(chosen), chosen, rounds or self.rounds, learn=False)
+        return replace(self, fit=fit).valued()
 
     def polished(self, rounds: int = 2) -> Set:
         """Moved to the best nonlinear values of motor and causes, parameters and sizes with them."""
         if not any(free(effect) for effect, _ in (*self.motor, *self.causes)):
             return self
         fit, chosen = polished(self.fit, self.chosen, rounds)
-        first, last = len(self.remainders.items), len(self.given)
-        better = replace(self, fit=fit, motor=chosen[first:last], causes=chosen[last:]).valued()
+        motor, causes = chosen[: len(self.motor)], chosen[len(self.given) :]
+        better = replace(self, fit=fit, motor=motor, causes=causes).valued()
         return better if better.value > self.value and better.senseless <= self.senseless else self
 
     def may_foretell(self, name: str) -> bool:
@@ -297,13 +301,12 @@ def presence(fit: LinearisedFit, effect: Effect) -> float:
     return known - float(np.log(fit.data.trials(effect)))
 
 
-def _group(fit: LinearisedFit, name: str, item: Item) -> Columns:
-    effect, _ = item
-    white = fit.white(*item)
+def _prior(effect: Effect, count: int, width: float = 1.0) -> Prior:
+    """Of an effect's columns, so many, which are of a remainder at some width."""
     if effect.standard:
         larger = calibration.LARGER_LINE if effect in ORDERS else calibration.LARGER
         widths = calibration.LOOP_BY if effect is LOOP else calibration.LARGER_BY
-        return name, white, np.ones(white.shape[1]), widths, larger
-    usual = np.full(white.shape[1], _WANDERING * float(effect.usual[0]))
-    usual[: effect.size] = effect.usual[: white.shape[1]]
-    return name, white, usual, calibration.SIZES, 0.0
+        return np.full(count, 1.0 / width), widths, larger
+    usual = np.full(count, _WANDERING * float(effect.usual[0]))
+    usual[: effect.size] = effect.usual[:count]
+    return usual, calibration.SIZES, 0.0

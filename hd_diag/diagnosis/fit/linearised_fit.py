@@ -263,6 +263,10 @@ class LinearisedFit:
             compute=lambda: self.whiten(self.columns(effect, nonlinear), self.data.run),
         )
 
+    def whitened(self, chosen: Chosen) -> Floats:
+        """Whitened columns of [model, offset, effects], (n, k)."""
+        return np.concatenate((self.always_white, *(self.white(*item) for item in chosen)), axis=1)
+
     def joined(self, chosen: Chosen) -> Floats:
         """Columns of several effects side by side."""
         parts = [self.columns(*item) for item in chosen]
@@ -355,8 +359,9 @@ class LinearisedFit:
         return {}
 
     def _solved(self, chosen: Chosen, more: Floats) -> _Solution:
-        parts = [self.always_white, *(self.white(*item) for item in chosen)]
-        columns = np.concatenate((*parts, self.whiten(more, self.data.run)), axis=1)
+        columns = self.whitened(chosen)
+        if more.shape[1]:
+            columns = np.concatenate((columns, self.whiten(more, self.data.run)), axis=1)
         precision, pull = np.zeros((2, columns.shape[1]))
         prior = self.prior(chosen)
         precision[: prior[0].size], pull[: prior[1].size] = prior
