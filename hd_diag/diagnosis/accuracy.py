@@ -30,7 +30,7 @@ _SIDE = 0.05  # of the rated torque, over which a flank changes
 _USUAL = 30.0 * ARCSEC  # amplitude of a wave of an arcminute from peak to peak, the prior of each
 _ROWS_PER_COLUMN = 10
 _PLAIN = 6.0  # square of a wave over that of its deviation: noise has 0.25 % of its waves beyond
-_APART = 0.3  # of a wave, that torsion and friction must not explain
+_APART = 0.3  # of a wave at any phase, that torsion and friction must not explain
 _MOST_ROWS, _MOST_SHOWN = 20_000, 4000  # to fit, and of the shape
 _LEVELS = (0.1, 0.3, 0.5, 0.7, 0.9)  # quantiles of the torque
 _STRETCHES = 12  # of a record, of which some are left out
@@ -147,10 +147,17 @@ def _apart(waves: Floats, laws: Floats, run: Integers) -> tuple[Floats, npt.NDAr
     """What torsion and friction leave of waves (n, k) that they cannot imitate, and which these are (k,)."""
     middle = np.stack([centered(column, run) for column in waves.T], axis=1)
     own = middle - laws @ (inverse(laws.T @ laws) @ (laws.T @ middle))
-    free = np.linalg.norm(own, axis=0) > _APART * np.linalg.norm(waves, axis=0)
-    kept = np.repeat(free.reshape(-1, 2).all(axis=1), 2)
+    pairs = range(0, waves.shape[1], 2)
+    kept = np.repeat([_least_apart(own[:, at : at + 2], waves[:, at : at + 2]) > _APART for at in pairs], 2)
     kept[2 * (run.size // (2 * _ROWS_PER_COLUMN)) :] = False
     return own[:, kept], kept
+
+
+def _least_apart(own: Floats, wave: Floats) -> float:
+    """Share of a wave (n, 2) that is its own (n, 2), at the phase at which it has least."""
+    values, vectors = np.linalg.eigh(wave.T @ wave)
+    scaled = own @ (vectors / np.sqrt(np.maximum(values, 1e-300)))
+    return float(np.linalg.norm(scaled, -2))
 
 
 class _Fit:

@@ -26,14 +26,18 @@ Beside = Literal["within", "near", "beyond", "open"]
 """A value beside its limit: under it, over it, too near to it to tell which, or unknown."""
 
 
-_LOOP = "hysteresis"
+_LOOP, _COUPLING = "hysteresis", "coupling_misalignment"
+_ENCODER = 600.0 * ARCSEC  # of the input: what a resolver's data sheet allows
 _USUAL = {
     _LOOP: 0.5 * USUAL_LOOP,  # to either side
-    "input_encoder_eccentricity": 600.0 * ARCSEC,  # at the input: a resolver's data sheet allows 10 arcmin
+    "input_encoder_eccentricity": _ENCODER,
+    _COUPLING: 4.0 * _ENCODER,  # a wave of a quarter of it, as the input's encoder may read twice per turn
     "output_encoder_eccentricity": 10.0 * ARCSEC,  # a disc of 100 mm that is mounted to 2.5 um
     "output_runout": 10.0 * ARCSEC,  # the same of a flange: no record tells them apart
 }
 """Largest values that a new joint may have; of waves those of the first."""
+
+_PLAY = 2  # number of a coupling's coefficient
 
 _FRICTION = ("coulomb_windup", "viscous_windup")
 """Causes that are usual up to the effect's usual size: chosen, two per cent of the rated torque, 1 N m of a
@@ -49,6 +53,8 @@ def is_usual(cause: Cause) -> bool:
     spread = math.sqrt(max(float(way @ cause.covariance[: way.size, : way.size] @ way), 0.0))
     certain = 1.0 - CERTAIN_SIZE * spread / max(value, 1e-300)
     for effect, coefficients in ((cause.effect, cause.coefficients), *cause.others):
+        if effect.name == _COUPLING and coefficients[_PLAY]:  # no encoder has play
+            continue
         limit = float(effect.usual[0]) if effect.name in _FRICTION else _USUAL.get(effect.name, -math.inf)
         own, _ = _size(effect, coefficients)
         # A loop may be wider beyond the torques of the record than in it.

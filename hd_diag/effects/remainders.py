@@ -165,14 +165,15 @@ def _time(signals: Signals, low: float, high: float) -> Floats:
 def _line(order: int) -> Shape:
     """Waves with the same part at every torque, and what changes with its magnitude.
 
-    What changes is in proportion: a gear's own wave falls with the load, a coupling's or encoder's does not.
-    A little changes with the torque's sign: other flanks bear it.
+    What changes is in proportion: a gear's own wave falls by the rated torque, a coupling's or encoder's does
+    not. A little changes with the torque's sign: other flanks bear it.
     """
     apart, changes = np.abs(np.subtract.outer(np.arange(_HATS), np.arange(_HATS))), _CHANGES[order]
     smooth = np.linalg.cholesky(1.0 - changes + changes * (1.0 - changes) ** apart)
 
     def shape(signals: Signals, low: float, high: float) -> Floats:
-        load = np.minimum(np.abs(signals.torque) / max(-low, high, 1e-9), 1.0)
+        greatest = max(-low, high)
+        load = np.minimum(np.abs(signals.torque), greatest) / max(greatest, signals.rated_torque)
         even = _hats(np.sqrt(load) * (_HATS - 1), _HATS) @ smooth
         odd = _TURNED * np.sign(signals.torque)[:, None] * np.stack((load, np.sqrt(load)), axis=1)
         law = np.concatenate((even, odd), axis=1)
