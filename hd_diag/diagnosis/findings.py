@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +31,8 @@ _STEP, _WIDTH = 0.25, 15  # of a tooth pitch, over so many rows
 _WHOLE = 0.05  # of a tooth pitch, by which a step of whole teeth may be misread
 _MOST_STEPS = 20  # after which no more are looked for
 _DEGREES = math.degrees(1.0)
+
+Torsion = Callable[[Floats, Floats], Floats]
 
 
 @dataclass(frozen=True)
@@ -171,7 +174,9 @@ def _waves(angle: Floats) -> tuple[Floats, Floats]:
     return np.cos(angle), np.sin(angle)
 
 
-def find_steps(record: Record, ratio: float, tooth_pitch: float) -> tuple[Floats, list[Finding]]:
+def find_steps(
+    record: Record, ratio: float, tooth_pitch: float, torsion: Torsion | None = None
+) -> tuple[Floats, list[Finding]]:
     """Steps of the error: teeth skipped or encoder counts lost.
 
     Parameters
@@ -180,6 +185,9 @@ def find_steps(record: Record, ratio: float, tooth_pitch: float) -> tuple[Floats
     ratio : float
     tooth_pitch : float
         Angle by which the flexspline turns when it skips a tooth [rad]: one of its own pitches.
+    torsion : callable, optional
+        The error of a drive [rad] at input angles [rad] and torques [N m], (n,) each: a torque that gives way
+        with the teeth lets the drive spring back.
 
     Returns
     -------
@@ -197,7 +205,12 @@ def find_steps(record: Record, ratio: float, tooth_pitch: float) -> tuple[Floats
                 break
             inner = part[at - _WIDTH : at + 1]
             place = at - _WIDTH + int(np.argmax(np.abs(np.diff(inner)))) + 1
-            before, after = part[max(place - _WIDTH, 0) : place], part[place : place + _WIDTH]
+            first = max(place - _WIDTH, 0)
+            near, rows = part[first : place + _WIDTH], slice(begin + first, begin + place + _WIDTH)
+            if torsion is not None:
+                twist = torsion(record.input_angle[rows], record.torque[rows])
+                near = near - np.nan_to_num(twist)[: near.size]
+            before, after = near[: place - first], near[place - first :]
             size = float(np.median(after) - np.median(before))
             if abs(size) < least:
                 break

@@ -81,7 +81,11 @@ def screened(record: Record, configured: Drive, limit: int = LIMIT) -> Screened:
     record, again = _without_repeated_rows(record)
     # With two more teeth on the circular spline, as nearly all gears have, where nobody knows.
     pitch = configured.mesh.geometry.tooth_pitch if teeth else math.pi / abs(ratio)
-    correction, steps = find_steps(record, ratio, pitch)
+
+    def torsion(angle: Floats, torque: Floats) -> Floats:
+        return fit_parameters.along(configured, configured, angle, torque)[0]
+
+    correction, steps = find_steps(record, ratio, pitch, torsion if teeth and record.has_torque else None)
     if steps:
         record = replace(record, output_angle=record.output_angle - correction)
     del correction  # a column of an hour is 30 MB
