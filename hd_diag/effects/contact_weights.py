@@ -120,6 +120,12 @@ class ContactWeights:
         tooth = np.mod(round(position / geometry.tooth_pitch) - ahead * turn, geometry.flexspline_teeth)
         return self._sign * self.table.one_tooth(self.torque_rows, self.angle_rows, tooth, opening).T
 
+    def one_by_share(self, share: Floats) -> Floats:
+        """The same of a pair that bears a share (n,) of the load, whatever the contact is, shape (n, 2)."""
+        cup_torque = self.drive.frame.cup_torque(self.torque)
+        flanks = np.stack((cup_torque > 0.0, -1.0 * (cup_torque < 0.0)), axis=1)
+        return np.asarray(self._sign / self.drive.mesh.geometry.curve.radius * share[:, None] * flanks)
+
     def under_more_torque(self, torque: Floats) -> Floats:
         """Change of TE [rad] by more torque (n,) [N m] on the link, the cup's compliance included."""
         change = self._torsion(self.torque + torque) - self._own_torsion()
