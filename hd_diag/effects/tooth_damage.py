@@ -116,7 +116,7 @@ def _positions(signals: Signals, angle: Floats, residual: Floats) -> list[float]
 def _position(signals: Signals, angle: Floats, residual: Floats, arc: float) -> float:
     """Angle in the member [rad] where a pair of an arc fits best, each flank for itself."""
     place = np.floor(np.mod(angle, np.pi) * (_BINS / np.pi) + 0.5).astype(np.int64) % _BINS
-    pulse = _share(np.pi / _BINS * np.arange(_BINS), arc)
+    pulse = _share(np.linspace(0.0, np.pi, _BINS, endpoint=False), arc)
     pulse -= pulse.mean()
     gain, rest = np.zeros(_BINS), residual - residual.mean()
     for side in (signals.torque > 0.0, signals.torque <= 0.0):

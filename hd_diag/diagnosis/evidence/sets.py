@@ -116,8 +116,8 @@ class Set:
             (effect.name, _prior(effect, place.stop - place.start, self.widths.get(effect.name, 1.0)))
             for (effect, _), place in zip(chosen[fixed:], fit.places(chosen)[fixed:], strict=True)
         )
-        normal = (one.sum(axis=0) for one in (built.gram, built.moment))
-        found = Evidence.of(*normal, float(built.square.sum()), *fit.prior(self.motor), priors)
+        gram, moment = built.gram.sum(axis=0), built.moment.sum(axis=0)
+        found = Evidence.of(gram, moment, float(built.square.sum()), *fit.prior(self.motor), priors)
         if not (others := list(candidates)):
             return found
         columns, (held, steps) = fit.whitened(chosen), fit.on_bounds(chosen)
