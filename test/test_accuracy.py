@@ -40,6 +40,15 @@ def lobes(angle: np.ndarray, load: np.ndarray) -> np.ndarray:
     return 30.0 * np.cos(2.0 * angle + 1.0)
 
 
+def torsion(load: np.ndarray) -> np.ndarray:
+    """A knee, and a loop between -1 and 1 that gives way over a tenth of the rated torque."""
+    state, loop = 0.0, []
+    for change in np.diff(load, prepend=load[0]):
+        state += 10.0 * (change - abs(change) * state)
+        loop.append(state)
+    return np.clip(load / 0.2, -1.0, 1.0) + np.array(loop)
+
+
 SHAPES: dict[str, tuple[Any, float]] = {
     "one wave": (lobes, 60.0),
     # Greatest at 30 + 20, least at -50: waves of other speeds meet each other in all ways over a turn.
@@ -50,13 +59,14 @@ SHAPES: dict[str, tuple[Any, float]] = {
     "under load": (lambda x, load: lobes(x, load) * (1.0 + load), 60.0),
     # An eccentric gear's error turns round with the torque.
     "by the flank": (lambda x, load: lobes(x, load) * np.tanh(load / 0.05), 60.0),
+    # Torsion of any shape is no error of the gear.
+    "beside torsion": (lambda x, load: lobes(x, load) + 50.0 * torsion(load), 60.0),
     "none": (lambda x, load: 0.0 * x, 0.0),
 }
 
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_the_error_from_peak_to_peak(shape: str) -> None:
-    """Of four records: within its own interval, and no larger for its noise."""
     error, true = SHAPES[shape]
     each = [found(record(error, seed)) for seed in range(4)]
     mean, std = np.mean([one.value for one in each]), np.median([one.std for one in each])
@@ -66,33 +76,11 @@ def test_the_error_from_peak_to_peak(shape: str) -> None:
 
 
 def test_a_wave_that_was_found_counts_by_its_own_peaks() -> None:
-    """A line of no gear beside the lobes: unknown it counts as one more wave beside them, not on top."""
-
     def both(angle: np.ndarray, load: np.ndarray) -> np.ndarray:
         return lobes(angle, load) + 20.0 * np.cos(3.372 * angle)
 
     assert found(record(both), (3.372,)).value == pytest.approx(100.0, abs=3.0)
     assert found(record(both)).value == pytest.approx(np.hypot(60.0, 40.0), abs=3.0)
-
-
-def bouc_wen(load: np.ndarray) -> np.ndarray:
-    """Loop between -1 and 1 that gives way over a tenth of the rated torque."""
-    state, loop = 0.0, []
-    for change in np.diff(load, prepend=load[0]):
-        state += 10.0 * (change - abs(change) * state)
-        loop.append(state)
-    return np.array(loop)
-
-
-def test_torsion_of_any_shape_is_no_error_of_the_gear() -> None:
-    """Its knee and its loop, a hundred arcsec each, beside lobes of 60 from peak to peak."""
-
-    def torsion(angle: np.ndarray, load: np.ndarray) -> np.ndarray:
-        return lobes(angle, load) + 50.0 * np.clip(load / 0.2, -1.0, 1.0) + 50.0 * bouc_wen(load)
-
-    one = found(record(torsion))
-    assert one.value == pytest.approx(60.0, abs=3.0)
-    assert one.std < 4.0
 
 
 def test_a_drift_is_no_error_of_the_gear() -> None:
@@ -115,12 +103,8 @@ def test_what_the_record_does_not_cover_is_told() -> None:
 def test_a_whole_turn_may_be_gone_through_in_a_few_rows() -> None:
     """All rows cover the turn, and hardly any one of the fewer by which the shape is drawn."""
     rows, quick = 20_000, 150
-    angle = (
-        2.0
-        * np.pi
-        * RATIO
-        * np.concatenate((np.linspace(0.0, 0.2, rows - quick), np.linspace(0.2, 1.0, quick)))
-    )
+    turns = np.concatenate((np.linspace(0.0, 0.2, rows - quick), np.linspace(0.2, 1.0, quick)))
+    angle = 2.0 * np.pi * RATIO * turns
     time, load = np.arange(rows) / 100.0, 0.5 * np.sin(np.arange(rows) / 700.0)
     noise = NOISE * np.random.default_rng(1).standard_normal(rows)
     output = angle / RATIO - ARCSEC * (lobes(angle, load) + 300.0 * load + noise)
@@ -130,7 +114,6 @@ def test_a_whole_turn_may_be_gone_through_in_a_few_rows() -> None:
 
 
 def test_beside_much_noise_it_is_off_by_its_deviation() -> None:
-    """In 20 records whose noise is as large as the wave, without a bias."""
     each = [found(record(lobes, seed, noise=30.0, rows=1000), noise=30.0) for seed in range(20)]
     off = np.array([one.value - 60.0 for one in each])
     std = np.median([one.std for one in each])

@@ -21,6 +21,8 @@ from hd_diag.model.torsion import torsion
 from hd_diag.model.transmission_error import Kinematics
 
 Array = polyline.Array
+Moments = tuple[Array, Array]
+OneMesh = Callable[[float], polyline.Mesh]
 
 ECCENTRICITY = (9e-6, 4e-6)
 DRIVE = Drive(drives.mesh(eccentricity=ECCENTRICITY), Kinematics(100.0), 56.0)
@@ -38,7 +40,7 @@ def weights(drive: Drive, angle: Array, torque: Array) -> ContactWeights:
     return ContactWeights(contact_table(drive, LIMIT), angle, torque)
 
 
-def product(angle: Array = ANGLES, torque: Array = TORQUES) -> tuple[Array, Array]:
+def product(angle: Array = ANGLES, torque: Array = TORQUES) -> Moments:
     return np.repeat(angle, torque.size), np.tile(torque, angle.size)
 
 
@@ -63,7 +65,7 @@ def moved_outward(angle: float, outward: Array) -> polyline.Mesh:
     return polyline.Mesh(out[0], out[0] * out[1], out[1], out[2])
 
 
-def turned(mesh: Callable[[float], polyline.Mesh]) -> Array:
+def turned(mesh: OneMesh) -> Array:
     """How the cup turns when teeth are displaced, at all moments and torques [rad]; TE of this drive."""
     result = []
     for angle in ANGLES:
@@ -86,13 +88,10 @@ def test_moved_slots_and_slots_out_of_round(member: str, order: int) -> None:
     size, place = 1e-6, 0.7
     moved = size * np.cos(order * (SLOTS - place))
     response = weights(DRIVE, *product()).harmonics(member, (order,))[:, 0]
-    expected = turned(
-        lambda angle: (
-            polyline.mesh(angle, ECCENTRICITY, slot_shift=moved)
-            if member == "slot"
-            else moved_outward(angle, moved)
-        )
-    )
+    if member == "slot":
+        expected = turned(lambda angle: polyline.mesh(angle, ECCENTRICITY, slot_shift=moved))
+    else:
+        expected = turned(lambda angle: moved_outward(angle, moved))
     found = (size * np.exp(-1j * order * place) * response).real
     assert rms(found - expected) < TOLERANCE * rms(expected)
 
@@ -112,23 +111,17 @@ SHIFT = 4e-6 * np.cos(2 * (SLOTS - 0.7))  # so large that pairs come into and ou
 @pytest.mark.parametrize(
     ("errors", "mesh"),
     [
-        (
-            {"circumferential": SHIFT},
-            lambda angle: polyline.mesh(angle, ECCENTRICITY, slot_shift=SHIFT),
-        ),
+        ({"circumferential": SHIFT}, lambda angle: polyline.mesh(angle, ECCENTRICITY, slot_shift=SHIFT)),
         ({"radial": SHIFT}, lambda angle: moved_outward(angle, SHIFT)),
         ({"clearance": 4e-6}, lambda angle: worn(angle, 4e-6)),
     ],
 )
-def test_full_size_is_far_closer_than_the_first_order(
-    errors: dict[str, Any], mesh: Callable[[float], polyline.Mesh]
-) -> None:
+def test_full_size_is_far_closer_than_the_first_order(errors: dict[str, Any], mesh: OneMesh) -> None:
     expected = turned(mesh)
     assert rms(weights(DRIVE, *product()).displaced(**errors) - expected) < 0.02 * rms(expected)
 
 
 def exact(angle: Array, torque: Array) -> tuple[Array, Array, Array, Array]:
-    """Shares and radii of the flanks, slots and teeth."""
     contact = contacts(DRIVE.mesh, angle)
     beta = torsion(DRIVE.mesh, angle, DRIVE.frame.cup_torque(torque))
     loaded = FLANKS * beta[:, None, None] > contact.rotation
@@ -138,30 +131,27 @@ def exact(angle: Array, torque: Array) -> tuple[Array, Array, Array, Array]:
 
 
 @pytest.fixture(scope="module")
-def many() -> tuple[Array, Array]:
+def many() -> Moments:
     rng = np.random.default_rng(0)
     angle, torque = rng.uniform(-300.0, 300.0, 2000), rng.uniform(-LIMIT, LIMIT, 2000)
     return angle, torque
 
 
 @pytest.mark.parametrize("order", [2, 6])
-def test_harmonics_are_sums_of_shares(many: tuple[Array, Array], order: int) -> None:
+def test_harmonics_are_sums_of_shares(many: Moments, order: int) -> None:
     share, radius, slots, teeth = exact(*many)
-    lever = np.abs(share) / radius
-    found = weights(DRIVE, *many)
-    expected = np.einsum("nfp,np->n", lever, np.exp(1j * order * PITCH * slots))
-    assert rms(np.abs(found.harmonics("slot", (order,))[:, 0] - expected)) < 0.04 * np.abs(expected).max()
-    expected = -np.einsum("nfp,np->n", lever, np.exp(1j * order * 2 * math.pi / 200 * teeth))
-    assert rms(np.abs(found.harmonics("tooth", (order,))[:, 0] - expected)) < 0.04 * np.abs(expected).max()
+    found, places = weights(DRIVE, *many), {"slot": PITCH * slots, "tooth": 2 * math.pi / 200 * teeth}
+    for member, sign in (("slot", 1), ("tooth", -1)):
+        waves = np.exp(1j * order * places[member])
+        expected = sign * np.einsum("nfp,np->n", np.abs(share) / radius, waves)
+        assert rms(np.abs(found.harmonics(member, (order,))[:, 0] - expected)) < 0.04 * np.abs(expected).max()
 
 
 @pytest.mark.parametrize(
     ("member", "pitch", "number"),
     [("slot", PITCH, 0), ("slot", PITCH, 60), ("tooth", 2 * math.pi / 200, 199)],
 )
-def test_single_teeth_are_their_shares(
-    many: tuple[Array, Array], member: str, pitch: float, number: int
-) -> None:
+def test_single_teeth_are_their_shares(many: Moments, member: str, pitch: float, number: int) -> None:
     share, radius, slots, teeth = exact(*many)
     own = ((slots if member == "slot" else teeth) == number)[:, None, :]
     expected = np.sum(np.where(own, share / radius, 0.0), axis=2)
@@ -170,7 +160,7 @@ def test_single_teeth_are_their_shares(
     assert rms(away) < 0.05 * np.abs(expected).max()
 
 
-def test_all_teeth_together_turn_the_output_and_single_ones_add_up(many: tuple[Array, Array]) -> None:
+def test_all_teeth_together_turn_the_output_and_single_ones_add_up(many: Moments) -> None:
     """By c over the contacts' radius where all slots, or all teeth, move by c."""
     found, radius = weights(DRIVE, *many), 30.9e-3
     assert_allclose(found.harmonics("slot", (0,))[:, 0], 1 / radius, rtol=5e-3)
@@ -185,11 +175,11 @@ def test_reversed_torque_mirrors_pitch_and_reverses_form() -> None:
     """Without eccentricity the drive is its own mirror image, in which a radial error turns the other way."""
     drive = Drive(drives.mesh(), Kinematics(100.0), 56.0)
     angle = 2 * math.pi / 404 * np.arange(404)
+    sides = [weights(drive, angle, np.full(404, torque)) for torque in (30.0, -30.0)]
     for order in (2, 4):
         turning = np.exp(-1j * order * angle)
-        up, down = (weights(drive, angle, np.full(404, torque)) for torque in (30.0, -30.0))
-        pitch = [np.mean(side.harmonics("slot", (order,))[:, 0] * turning) for side in (up, down)]
-        form = [np.mean(side.harmonics("radial", (order,))[:, 0] * turning) for side in (up, down)]
+        pitch = [np.mean(side.harmonics("slot", (order,))[:, 0] * turning) for side in sides]
+        form = [np.mean(side.harmonics("radial", (order,))[:, 0] * turning) for side in sides]
         assert_allclose(pitch[0], np.conj(pitch[1]), rtol=1e-6)
         assert_allclose(form[0], -np.conj(form[1]), rtol=1e-6)
         assert abs(pitch[0]) > 10.0
@@ -197,10 +187,9 @@ def test_reversed_torque_mirrors_pitch_and_reverses_form() -> None:
 
 
 def test_output_at_the_circular_spline_lags() -> None:
-    other = Drive(DRIVE.mesh, Kinematics(101.0, "circular_spline"), 56.0)
-    angle, torque = product()
-    found = weights(other, angle, -torque).harmonics("slot", (2,))[:, 0]
-    assert_allclose(found, -weights(DRIVE, angle, torque).harmonics("slot", (2,))[:, 0], atol=1e-12)
+    other, (angle, torque) = Drive(DRIVE.mesh, Kinematics(101.0, "circular_spline"), 56.0), product()
+    lagging, leading = weights(other, angle, -torque), weights(DRIVE, angle, torque)
+    assert_allclose(lagging.harmonics("slot", (2,)), -leading.harmonics("slot", (2,)), atol=1e-12)
 
 
 def test_idle_is_the_middle_of_both_sides_and_beyond_the_limit_the_response_stays() -> None:
@@ -213,23 +202,21 @@ def test_idle_is_the_middle_of_both_sides_and_beyond_the_limit_the_response_stay
     assert_allclose(beyond, at, rtol=1e-12)
 
 
-@pytest.mark.parametrize("limit", [0.0, -1.0, math.nan, math.inf])
-def test_refuses_a_limit(limit: float) -> None:
-    with pytest.raises(ValueError, match=r"torque_limit must be positive, not .* N m"):
-        ContactTable(DRIVE, limit)
+def test_refuses_a_limit() -> None:
+    for limit in (0.0, -1.0, math.nan, math.inf):
+        with pytest.raises(ValueError, match=r"torque_limit must be positive, not .* N m"):
+            ContactTable(DRIVE, limit)
+
+
+FAR = (30e-6, 8e-6)
 
 
 @pytest.mark.parametrize(
     ("eccentricity", "beyond", "most"),
-    [
-        (ECCENTRICITY, 1.15, 0.01),
-        ((30e-6, 8e-6), 1.15, 0.05),
-        (ECCENTRICITY, 3.0, 0.2),
-        ((30e-6, 8e-6), 10.0, 0.7),
-    ],
+    [(ECCENTRICITY, 1.15, 0.01), (FAR, 1.15, 0.05), (ECCENTRICITY, 3.0, 0.2), (FAR, 10.0, 0.7)],
 )
-def test_torsion_is_by_maps_within_the_limit_and_far_beyond(
-    eccentricity: tuple[float, float], beyond: float, most: float, many: tuple[Array, Array]
+def test_torsion_is_by_maps_far_beyond_the_limit(
+    eccentricity: tuple[float, float], beyond: float, most: float, many: Moments
 ) -> None:
     """To 0.01 arcsec at the limit; less closely where pairs enter by their tip corners, and farther out."""
     angle, torque = many[0], beyond * many[1]
@@ -240,7 +227,7 @@ def test_torsion_is_by_maps_within_the_limit_and_far_beyond(
     assert_array_equal(table.torsion_under(angle[:9], torque[:9]), table.torsion_under(angle, torque)[:9])
 
 
-def test_torsion_beyond_all_maps_is_exact(many: tuple[Array, Array]) -> None:
+def test_torsion_beyond_all_maps_is_exact(many: Moments) -> None:
     angle, torque = many[0][:20], np.linspace(-60.0, 60.0, 20) * LIMIT
     torque[3] = np.nan
     found = contact_table(DRIVE, LIMIT).torsion_under(angle, torque)
@@ -261,7 +248,7 @@ def test_ripple_is_the_error_less_its_mean_over_a_turn() -> None:
             assert rms(found - (error - error.mean())) < 0.03 * ARCSEC
 
 
-def test_ripple_of_parts_and_of_a_known_torsion(many: tuple[Array, Array]) -> None:
+def test_ripple_of_parts_and_of_a_known_torsion(many: Moments) -> None:
     whole, rows = weights(DRIVE, *many), slice(100, 300)
     alone = whole.part(rows).ripple
     assert_allclose(alone, whole.ripple[rows], rtol=0, atol=1e-15)

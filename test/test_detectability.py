@@ -17,14 +17,11 @@ from hd_diag.diagnosis.evidence.sets import Set
 SECONDS = 20.0
 ODDS = math.log(NAMED / (1.0 - NAMED))
 BY_PARAMETERS = "the model's own parameters imitate it: this record cannot tell them apart"
-RUBBING = of(
-    EFFECTS["coulomb_windup"], friction=1.0, way=1e-3, creep_speed=0.1, stribeck=0.0, stribeck_speed=1.0
-)
+FRICTION = {"friction": 1.0, "way": 1e-3, "creep_speed": 0.1, "stribeck": 0.0, "stribeck_speed": 1.0}
 
 
 @functools.cache
 def plain(seconds: float = SECONDS) -> Set:
-    """A record of the package's own drive, without causes."""
     return begun(bench(record=swinging(seconds)))
 
 
@@ -38,44 +35,33 @@ def stated(seconds: float = SECONDS) -> dict[str, Detectability]:
 
 
 def shown(found: dict[str, Detectability]) -> dict[str, float]:
-    """Least sizes of those that could be named [rad rms]."""
     return {name: test.least_size for name, test in found.items() if test.testable}
 
 
 def gain(name: str, part: Part) -> float:
-    """Log odds of an effect where a part is added."""
     return next(one.gain for one in candidates(begun(bench(part))) if one.name == name)
 
 
 def with_friction() -> Set:
-    """A record of a joint that rubs, the cause for it found and the noise learnt beside it."""
-    before = begun(bench(RUBBING))
+    before = begun(bench(of(EFFECTS["coulomb_windup"], **FRICTION)))
     best = candidates(before)[0]
     assert best.name == "coulomb_windup"
     return before.beside(best.item, best.widths).settled().relearned
 
 
-def test_every_effect_is_judged_once() -> None:
-    assert list(stated()) == [effect.name for effect in plain().fit.data.searched]
-
-
 def test_least_sizes_are_positive_and_finite() -> None:
+    assert list(stated()) == [effect.name for effect in plain().fit.data.searched]
     sizes = shown(stated())
     assert len(sizes) > 12
     assert all(LEAST_SIZE <= size < math.inf for size in sizes.values())
     assert {stated()[name].reason for name in sizes} == {"tested"}
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "tooth_damage",
-        "coulomb_windup",
-        pytest.param("output_runout", marks=pytest.mark.slow),
-        pytest.param("encoder_interpolation", marks=pytest.mark.slow),
-        pytest.param("torque_offset", marks=pytest.mark.slow),
-    ],
-)
+OTHERS = ("output_runout", "encoder_interpolation", "torque_offset")
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in OTHERS]
+
+
+@pytest.mark.parametrize("name", ["tooth_damage", "coulomb_windup", *SLOW])
 def test_at_the_least_size_the_evidence_names_it_and_far_below_it_does_not(name: str) -> None:
     effect = next(one for one in plain().fit.data.searched if one.name == name)
     points = effect.starts(plain().fit.signals).points
@@ -115,23 +101,19 @@ def test_what_is_undecided_has_no_least_size_and_says_why() -> None:
     assert all(test == stated()[name] for name, test in others.items() if not math.isnan(test.least_size))
 
 
-@pytest.mark.parametrize("name", ["torque_gain", "wear_backlash"])
-def test_what_the_parameters_imitate_is_told(name: str) -> None:
-    """Compliances are a gain of the torque; the datum is the backlash."""
-    assert (stated()[name].testable, stated()[name].reason) == (False, BY_PARAMETERS)
-    assert math.isnan(stated()[name].least_size)
-
-
-def test_what_a_remainder_imitates_is_told() -> None:
-    test = stated()["coupling_misalignment"]
-    assert not test.testable
-    assert test.reason.startswith("wave of order 2, of which any joint has some, imitates it")
-
-
-def test_what_the_motion_cannot_show_is_told() -> None:
-    test = stated()["thermal_drift"]
-    assert not test.testable
-    assert "no temperature is measured" in test.reason
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("torque_gain", BY_PARAMETERS),  # compliances are a gain of the torque
+        ("wear_backlash", BY_PARAMETERS),  # the datum is the backlash
+        ("coupling_misalignment", "wave of order 2, of which any joint has some, imitates it"),
+        ("thermal_drift", "no temperature is measured"),
+    ],
+)
+def test_why_a_cause_cannot_be_shown_is_told(name: str, reason: str) -> None:
+    assert not stated()[name].testable
+    assert reason != BY_PARAMETERS or math.isnan(stated()[name].least_size)
+    assert reason in stated()[name].reason
 
 
 def test_what_was_found_is_no_question_and_what_it_imitates_has_to_be_larger() -> None:

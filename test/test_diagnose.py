@@ -25,9 +25,9 @@ from hd_diag.diagnosis.judgement import Answer
 from hd_diag.drive import transmission_error
 from hd_diag.effects import CATALOGUE
 
+Patch = pytest.MonkeyPatch
 ROOT = Path(__file__).resolve().parent.parent
 COLUMNS = "time=time,input=input,output=output,torque=torque"
-CHANCE = 0.2  # of an rms of so short a sample of coloured noise, four standard deviations
 
 
 def diagnosed_by(*arguments: object) -> Result:
@@ -55,7 +55,6 @@ def test_a_cause_is_named_with_its_size_and_no_other(name: str, seed: int | None
     assert [name in cause.alike for cause in found.causes] == [True]
     amplitude = float(np.std(records.added_by(record, name)))
     assert found.causes[0].amplitude == pytest.approx(amplitude, rel=0.1)
-    assert found.rms is not None
     assert found.rms.nominal > found.rms.refit > found.rms.offline
 
 
@@ -78,18 +77,12 @@ def test_a_drift_of_every_recording_is_fitted_to_all_of_them() -> None:
     found = diagnose(record, joint().drive, np.random.default_rng(0))
     assert not found.causes
     assert [change.name for change in Answer(found).changes] == ["eccentricity"]
-    assert found.model is not None
     assert [term.effect.name for term in found.model.effects] == []
 
 
 @pytest.mark.parametrize("within", [1.0, slow(2.0)])
-def test_intervals_are_longer_where_more_than_noise_is_left(
-    within: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Those of displacements, whose waves are within turns of the input, by what is left there.
-
-    And by what they would be if that were their own.
-    """
+def test_intervals_are_longer_where_more_than_noise_is_left(within: float, monkeypatch: Patch) -> None:
+    """Of displacements by what is left in turns of the input, and by what that would be as their own."""
     plain, real = eccentric(), gain.measured_gain
 
     def worse(*given: Any) -> Any:
@@ -99,23 +92,19 @@ def test_intervals_are_longer_where_more_than_noise_is_left(
 
     monkeypatch.setattr("hd_diag.diagnosis.diagnosis.measured_gain", worse)
     found = diagnose(prepared(columns(8.0)), joint().drive, np.random.default_rng(0))
-    assert found.misfit is not None
     assert found.misfit.suspected
 
-    def longer(name: str) -> float:
-        return float(found.parameters[name]["std"] / plain.parameters[name]["std"])
-
-    assert found.rms is not None
     left = found.rms.noise * float(np.sqrt(max(within**2 - MORE**2, 0.0)))
     size, way = (found.parameters[f"eccentricity.{name}"]["value"] for name in ("magnitude", "direction"))
     moved = joint(eccentricity__magnitude=size, eccentricity__direction=way).drive
     angle, torque = found.record.input_angle, found.record.torque
     part = transmission_error(moved, angle, torque) - transmission_error(joint().drive, angle, torque)
     own = size * left / float(np.nanstd(part))
-    plainly = plain.parameters["eccentricity.magnitude"]["std"]
-    expected = float(np.hypot(min(within, found.misfit.value) * plainly, own)) / plainly
-    assert longer("eccentricity.magnitude") == pytest.approx(expected, rel=0.2)
-    assert longer("tooth_compliance") == pytest.approx(found.misfit.value, rel=0.2)
+    std = {name: one["std"] for name, one in found.parameters.items()}
+    before = {name: one["std"] for name, one in plain.parameters.items()}
+    expected = float(np.hypot(min(within, found.misfit.value) * before["eccentricity.magnitude"], own))
+    assert std["eccentricity.magnitude"] == pytest.approx(expected, rel=0.2)
+    assert std["tooth_compliance"] == pytest.approx(found.misfit.value * before["tooth_compliance"], rel=0.2)
 
 
 def test_what_lacks_is_said_of_every_cause_that_cannot_be_tested() -> None:
@@ -133,9 +122,7 @@ def test_what_lacks_is_said_of_every_cause_that_cannot_be_tested() -> None:
     ("name", "seed", "frame", "order"),
     [("strange_order", 0, "input", 3.37), slow("floor_vibration", 6, "time", 7.3)],
 )
-def test_what_no_catalogue_has_is_described_and_not_named(
-    name: str, seed: int, frame: str, order: float
-) -> None:
+def test_what_no_catalogue_has_is_described(name: str, seed: int, frame: str, order: float) -> None:
     found = diagnosed(generated("unknown", seed, name))
     assert (found.findings, found.causes) == ((), ())
     assert [line.frame for line in found.unexplained] == [frame]
@@ -144,7 +131,6 @@ def test_what_no_catalogue_has_is_described_and_not_named(
 
 @pytest.mark.parametrize("seed", [16, *map(slow, (36, 56, 76, 96))])
 def test_a_wrong_ratio_is_said_first(seed: int) -> None:
-    """Fractions from 3e-4 to 3e-2."""
     made = generated("one_effect", seed, "ratio_error", run=2 * RUN)
     found = diagnosed(made)
     assert [finding.name for finding in found.findings] == ["ratio_error"]
@@ -153,40 +139,7 @@ def test_a_wrong_ratio_is_said_first(seed: int) -> None:
     assert found.causes == ()
 
 
-@pytest.mark.slow
-def test_a_skipped_tooth_is_found_and_put_back() -> None:
-    made = generated("one_effect", 17, "tooth_skip")
-    found = diagnosed(made)
-    assert [finding.text.partition(": ")[2] for finding in found.findings] == ["1 tooth skipped"]
-    assert found.causes == ()
-    assert found.rms is not None
-    assert found.rms.refit == pytest.approx(made.truth["noise_rms"], rel=CHANCE)
-
-
-@pytest.mark.slow  # 8 s; test_cli_fleet.py has a smaller one
-def test_wrong_parameters_in_a_bag(tmp_path: Path) -> None:
-    made, told_file = generated("wrong_parameters", 3), tmp_path / "told.json"
-    records.write_bag(made, tmp_path / "joint.mcap")
-    result = diagnosed_by(tmp_path / "joint.mcap", "--json", told_file, "--fail-on-cause")
-    assert result.exit_code == 0
-    # A busy computer takes so long that it is said how long.
-    assert [line for line in result.stderr.splitlines() if not re.search(r": [\w' ]+: \d+ %", line)] == [
-        ASSUMED.strip()
-    ]
-    told = json.loads(told_file.read_text())
-    assert (told["causes"], told["unexplained"], told["findings"]) == ([], [], [])
-    assert told["verdict"].endswith("no other cause is needed.")
-    assert result.stdout.splitlines()[0] == f"joint_1: {told['advice']}"
-    assert told["record"]["samples"] == made.time.size
-    noise = made.truth["noise_rms"]
-    assert told["refit"]["rms"] == pytest.approx(noise, rel=CHANCE)
-    assert told["noise_floor"]["low"] < noise < told["noise_floor"]["high"]
-    size = told["refit"]["parameters"]["eccentricity.magnitude"]
-    assert abs(size["value"] - made.base.e) < 4.0 * size["std"]
-    assert told["gain"]["low"] < told["gain"]["fraction_explained"] < told["gain"]["high"] < 1.0
-
-
-def test_a_cause_in_a_table(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_cause_in_a_table(monkeypatch: Patch, tmp_path: Path) -> None:
     asked = known_to_the_command_line(monkeypatch, "output_runout")
     whole = made("output_runout")
     divided = dataclasses.replace(whole, input_angle=whole.input_angle / 100.0)
@@ -202,7 +155,7 @@ def test_a_cause_in_a_table(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
     assert cause["p_value"] < 0.01
 
 
-def test_an_effect_of_one_s_own_is_searched_too(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_an_effect_of_one_s_own_is_searched_too(monkeypatch: Patch, tmp_path: Path) -> None:
     asked = known_to_the_command_line(monkeypatch, "output_runout")
     given = (table(tmp_path / "a.csv"), "--columns", COLUMNS, "--effects")
     assert diagnosed_by(*given, ROOT / "docs/examples/encoder_pinion.py").exit_code == 0
@@ -224,10 +177,8 @@ def test_a_wrong_ratio_fails_on_request_at_once(tmp_path: Path) -> None:
     path = table(tmp_path / "a.csv", input=-given["input"])
     result = diagnosed_by(path, "--columns", COLUMNS, "--fail-on-cause")
     assert result.exit_code == 1
-    (told,) = re.findall(
-        r"^joint_1: Cannot be judged: the output follows .* ratio of (\S+), not ", result.stdout
-    )
-    assert float(told) == pytest.approx(-100.0, rel=1e-3)
+    told = re.match(r"joint_1: Cannot be judged: the output follows .* ratio of (\S+), not ", result.stdout)
+    assert float(told[1]) == pytest.approx(-100.0, rel=1e-3)
     assert diagnosed_by(path, "--columns", COLUMNS).exit_code == 2
 
 
@@ -236,18 +187,10 @@ def test_a_wrong_ratio_fails_on_request_at_once(tmp_path: Path) -> None:
     [
         ({}, ["--columns", "time=time,input=nothing,output=output"], "has no column 'nothing'"),
         ({}, ["--columns", "time=time,input"], "--columns takes pairs like"),
-        (
-            {},
-            ["--columns", "time=time,output=a,output=b"],
-            "--columns names something twice: time=time,output=a",
-        ),
+        ({}, ["--columns", "time=time,output=a,output=b"], "--columns names something twice: time=time,"),
         ({}, ["--columns", "time=time,input=input"], "columns need output"),
         ({}, ["--columns", COLUMNS, "--joint", "elbow"], "no joint 'elbow' in the configuration"),
-        (
-            {},
-            ["--columns", COLUMNS, "--orders-only", "--model", "m.json"],
-            "--orders-only has no tooth model",
-        ),
+        ({}, ["--columns", COLUMNS, "--orders-only", "--model", "m.json"], "--orders-only has no tooth"),
         ({"input": 0.0}, ["--columns", COLUMNS], "joint_1: no motion: the input turns by 0 rad"),
         ({"output": np.nan}, ["--columns", COLUMNS], "joint_1: too short: 0 usable samples"),
         ({"time": 1.0}, ["--columns", COLUMNS], "joint_1: too short: 1 usable samples"),

@@ -19,18 +19,18 @@ ALIGNED = Drive(drives.mesh(), Kinematics(100.0), RATED)
 ASTRAY = Drive(drives.mesh(eccentricity=(0.0, published.ECCENTRICITY)), Kinematics(100.0), RATED, 3e-6)
 ANGLES = np.linspace(-3.0, 11.0, 40)
 GEOMETRY = ALIGNED.mesh.geometry
-SIGNED = [
-    (sign * ratio, output)
-    for ratio, output in ((100.0, "flexspline"), (101.0, "circular_spline"))
-    for sign in (1.0, -1.0)
-]
+SIGNED = [(ratio, "flexspline") for ratio in (100.0, -100.0)]
+SIGNED += [(ratio, "circular_spline") for ratio in (101.0, -101.0)]
 
+REFUSED = [
+    ({"rated_torque": 0.0}, "rated_torque must be positive, not 0.0 N m"),
+    ({"rated_torque": math.inf}, "rated_torque must be positive, not inf N m"),
+    ({"rated_torque": math.nan}, "rated_torque must be positive, not nan N m"),
+    ({"cup_compliance": -1e-6}, r"cup_compliance must not be negative, not -1e-06 rad/\(N m\)"),
+    ({"cup_compliance": math.nan}, "cup_compliance must not be negative, not nan"),
+]
 RATIOS_REFUSED = [
-    (
-        Kinematics(101.0),
-        "ratio 101 does not fit 200 and 202 teeth with the output at the flexspline: .* 100; "
-        "output: circular_spline has this ratio",
-    ),
+    (Kinematics(101.0), "101 does not fit 200 and 202 teeth with .* 100; output: circular_spline has"),
     (Kinematics(100.0, "circular_spline"), "its magnitude must be 101; output: flexspline has this ratio"),
     (Kinematics(161.0, "circular_spline"), "must be 101; a gear of 320 and 322 teeth has this ratio"),
     (Kinematics(0.5, of_teeth=False), "ratio must be finite and above 1, not 0.5"),
@@ -48,18 +48,11 @@ def state(drive: Drive, torque: float, angle: float = 0.0) -> MeshState:
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"rated_torque": 0.0}, "rated_torque must be positive, not 0.0 N m"),
-        ({"rated_torque": math.inf}, "rated_torque must be positive, not inf N m"),
-        ({"rated_torque": math.nan}, "rated_torque must be positive, not nan N m"),
-        ({"cup_compliance": -1e-6}, r"cup_compliance must not be negative, not -1e-06 rad/\(N m\)"),
-        ({"cup_compliance": math.nan}, "cup_compliance must not be negative, not nan"),
-    ],
+    ("changes", "message"), [*REFUSED, *(({"kinematics": one}, said) for one, said in RATIOS_REFUSED)]
 )
 def test_names_what_cannot_be(changes: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        dataclasses.replace(ALIGNED, **changes)  # type: ignore[arg-type]
+        dataclasses.replace(ALIGNED, **changes)
 
 
 def test_summaries_of_the_load() -> None:
@@ -95,18 +88,11 @@ def test_lobes_press_against_each_other() -> None:
     assert plus[~first_lobe].sum() == minus[first_lobe].sum() == 0
 
 
-@pytest.mark.parametrize(("kinematics", "message"), RATIOS_REFUSED)
-def test_refuses_a_ratio_with_the_reason(kinematics: Kinematics, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        dataclasses.replace(ALIGNED, kinematics=kinematics)
-
-
 @pytest.mark.parametrize(("ratio", "output"), SIGNED)
 def test_the_output_turns_by_the_ratio(ratio: float, output: Output) -> None:
     """The output is reported as it turns; a negative ratio says that the input is reported backwards."""
-    turned, later = (
-        Kinematics(ratio, output, phase).frame(GEOMETRY).wave_generator_angle(ANGLES) for phase in (0.0, 0.7)
-    )
+    frames = (Kinematics(ratio, output, phase).frame(GEOMETRY) for phase in (0.0, 0.7))
+    turned, later = (frame.wave_generator_angle(ANGLES) for frame in frames)
     assert_allclose(later - turned, 0.7, atol=1e-14)  # the phase is the long axis at input zero
     if output == "flexspline":  # rolling in the fixed circular spline, it turns by -theta_W (Z_G - Z_R) / Z_R
         assert_allclose(-turned * 2 / 200, ANGLES / ratio, rtol=1e-14)
@@ -118,9 +104,8 @@ def test_the_output_turns_by_the_ratio(ratio: float, output: Output) -> None:
 @pytest.mark.parametrize(("ratio", "output"), SIGNED)
 def test_the_output_lags_by_torsion_and_cup_when_it_drives(ratio: float, output: Output) -> None:
     torque = np.linspace(-50, 60, ANGLES.size)
-    soft, rigid = (
-        Drive(ASTRAY.mesh, Kinematics(ratio * (1 + 1e-10), output, -3.0), RATED, cup) for cup in (3e-6, 0.0)
-    )
+    kinematics = Kinematics(ratio * (1 + 1e-10), output, -3.0)
+    soft, rigid = (Drive(ASTRAY.mesh, kinematics, RATED, cup) for cup in (3e-6, 0.0))
     found = transmission_error(soft, ANGLES, torque)
     assert np.all(found * torque < 0)
     assert_allclose(found, transmission_error(rigid, ANGLES, torque) - 3e-6 * torque, rtol=1e-12)

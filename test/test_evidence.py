@@ -1,7 +1,6 @@
 """Evidence of sets of columns: sizes integrated out, against densities and fits written out in full."""
 
 import itertools
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +26,7 @@ WIDTHS = [
 
 seeds = st.integers(0, 2**32 - 1)
 sets = st.sampled_from(WIDTHS)
-COPIES = 40
+COPIES = 40  # more columns than are worked on at once
 few = settings(max_examples=40)
 
 
@@ -43,9 +42,8 @@ class Problem(NamedTuple):
     @property
     def evidence(self) -> Evidence:
         groups = [(name, part, USUAL[name], *CHOICES[name]) for name, part in self.groups.items()]
-        return Evidence.of(
-            [self.base[:, :2], self.base[:, 2:]], self.target, self.precision, self.mean, groups
-        )
+        base = [self.base[:, :2], self.base[:, 2:]]
+        return Evidence.of(base, self.target, self.precision, self.mean, groups)
 
     def joined(self, widths: dict[str, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Columns of a set (n, k), and the mean and deviation of their coefficients, (k,)."""
@@ -74,32 +72,15 @@ def problem(seed: int) -> Problem:
 
 @few
 @given(seeds, sets, sets)
-def test_evidence_is_the_tempered_density_of_the_record(
-    seed: int, one: dict[str, float], other: dict[str, float]
-) -> None:
+def test_evidence_is_the_tempered_density(seed: int, one: dict[str, float], other: dict[str, float]) -> None:
     made = problem(seed)
     found, expected = (f(one) - f(other) for f in (made.evidence.log, made.density))
     assert found == pytest.approx(expected, abs=1e-7)
 
 
-def test_a_larger_remainder_costs_as_much_as_is_said() -> None:
-    made = problem(0)
-    free = Evidence.of(
-        [made.base],
-        made.target,
-        made.precision,
-        made.mean,
-        [("remainder", made.groups["remainder"], USUAL["remainder"], LARGER_BY, 0.0)],
-    )
-    costs = [made.evidence.log({"remainder": w}) - free.log({"remainder": w}) for w in LARGER_BY]
-    assert_allclose(costs, LARGER * np.arange(len(LARGER_BY)), atol=1e-9)
-
-
 @few
 @given(seeds, sets)
-def test_a_gain_is_the_best_difference_of_the_bigger_and_the_smaller_set(
-    seed: int, widths: dict[str, float]
-) -> None:
+def test_a_gain_is_the_best_difference_of_two_sets(seed: int, widths: dict[str, float]) -> None:
     evidence = problem(seed).evidence
     rest = [name for name in USUAL if name not in widths]
     now, found = evidence.log(widths), evidence.gains(widths, rest)
@@ -119,6 +100,9 @@ def test_tuned_widths_are_on_the_grid_and_no_worse_than_before(seed: int, widths
     assert list(found) == list(widths)
     assert all(width in CHOICES[name][0] for name, width in found.items())
     assert best == evidence.log(found) >= evidence.log(widths)
+    for name in widths:
+        others = {one: width for one, width in widths.items() if one != name}
+        assert others.items() <= evidence.tuned(widths, [name])[1].items()
 
 
 @few
@@ -129,14 +113,6 @@ def test_one_width_is_tuned_to_the_best_of_its_grid(seed: int, start: tuple[str,
     best, found = evidence.tuned({name: width})
     every = {one: evidence.log({name: one}) for one in CHOICES[name][0]}
     assert (best, found[name]) == (max(every.values()), max(every, key=every.__getitem__))
-
-
-@few
-@given(seeds)
-def test_widths_that_are_not_named_stay(seed: int) -> None:
-    widths = {"remainder": 10.0, "cause": 0.1, "other": 10.0}
-    _, found = problem(seed).evidence.tuned(widths, ["cause"])
-    assert {**found, "cause": 0.1} == widths
 
 
 @few
@@ -175,7 +151,8 @@ def test_what_is_kept_apart_brings_the_same(seed: int, widths: dict[str, float])
     every = {name: (name, part, USUAL[name], *CHOICES[name]) for name, part in made.groups.items()}
     apart = [every.pop(name) for name in USUAL if name not in widths]
     given = made.target, made.precision, made.mean
-    evidence = Evidence.of([made.base], *given, every.values(), [*apart, *_copies(apart)])
+    copies = [(f"{name} {number}", *rest) for name, *rest in apart for number in range(COPIES)]
+    evidence = Evidence.of([made.base], *given, every.values(), [*apart, *copies])
     assert evidence.log(widths) == pytest.approx(made.evidence.log(widths), abs=1e-9)
     names = [name for name, *_ in apart]
     expected = made.evidence.gains(widths, names)
@@ -184,15 +161,9 @@ def test_what_is_kept_apart_brings_the_same(seed: int, widths: dict[str, float])
         for name in names:
             assert found[f"{name}{suffix}"] == pytest.approx(expected[name], abs=1e-9)
     for name in names:
-        for one, other in zip(
-            evidence.information(widths, name), made.evidence.information(widths, name), strict=True
-        ):
-            assert_allclose(one, other, atol=1e-9)
-
-
-def _copies(groups: list[tuple]) -> Iterator[tuple]:
-    """More columns than are worked on at once."""
-    yield from ((f"{name} {number}", *rest) for name, *rest in groups for number in range(COPIES))
+        both = (one.information(widths, name) for one in (evidence, made.evidence))
+        for found, expected in zip(*both, strict=True):
+            assert_allclose(found, expected, atol=1e-9)
 
 
 def test_what_has_no_prior_is_as_good_as_free() -> None:
@@ -215,7 +186,6 @@ def test_columns_that_are_alike_beside_little_noise_have_an_evidence(seed: int) 
     widths = {name: CHOICES[name][0][0] for name in USUAL}
     assert np.isfinite(made.evidence.log(widths))
     base, groups = made.evidence.coefficients(widths)
-    explained = made.base @ (base * made.precision**-0.5) + sum(
-        alike[name] @ (groups[name] * USUAL[name]) for name in widths
-    )
+    explained = made.base @ (base * made.precision**-0.5)
+    explained += sum(alike[name] @ (groups[name] * USUAL[name]) for name in widths)
     assert_allclose(explained, made.target, atol=1e-5 * np.abs(made.target).max())

@@ -1,6 +1,7 @@
 """Whether a torque excites what it should: reversals that count, and a torque that is only assumed."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,8 +25,10 @@ def under(signals: Signals, torque: np.ndarray | float, *breaks: int) -> Signals
 
 
 def through(*values: float) -> np.ndarray:
-    """Torque that goes straight from value to value [N m]."""
     return np.interp(np.linspace(0.0, len(values) - 1.0, COUNT), np.arange(len(values)), values)
+
+
+NOISE = np.random.default_rng(0).normal(0.0, 0.6, COUNT)
 
 
 @pytest.mark.parametrize(
@@ -38,11 +41,14 @@ def through(*values: float) -> np.ndarray:
         (through(0.0, 30.0), 0),  # never back
         (through(30.0, -30.0, 30.0), 1),
         (20.0, 0),
+        (through(0.0, 30.0, -30.0, 30.0) + NOISE, 2),
+        (through(0.0, 30.0, -30.0, 10.0, -30.0) + NOISE, 3),
+        # Reversals at almost the same torque are one value.
+        (through(0.0, 30.0, -30.0, 31.0, -29.0, 32.0, -30.5, 30.0), 2),
+        (through(0.0, 30.0, -30.0, 10.0, -20.0), 3),
     ],
 )
-def test_values_at_which_the_torque_turns_back(
-    signals: Signals, torque: np.ndarray | float, levels: int
-) -> None:
+def test_values_at_which_the_torque_turns_back(signals: Signals, torque: Any, levels: int) -> None:
     possible, reason = torque_reverses(under(signals, torque), SWING)
     assert possible == (levels >= 3)
     assert possible == (reason == "")
@@ -50,23 +56,10 @@ def test_values_at_which_the_torque_turns_back(
     assert possible or f"at {told}, three are needed, 5.6 N m apart" in reason
 
 
-def test_noise_turns_nothing_back(signals: Signals) -> None:
-    noise = np.random.default_rng(0).normal(0.0, 0.6, COUNT)
-    assert not torque_reverses(under(signals, through(0.0, 30.0, -30.0, 30.0) + noise), SWING)[0]
-    assert torque_reverses(under(signals, through(0.0, 30.0, -30.0, 10.0, -30.0) + noise), SWING)[0]
-
-
-def test_reversals_count_within_a_run(signals: Signals) -> None:
-    """Memory ends with a run: three reversals in two runs close no inner loop."""
+def test_memory_ends_with_a_run(signals: Signals) -> None:
+    """Three reversals in two runs close no inner loop."""
     torque = through(0.0, 30.0, -30.0, 10.0, -20.0)
-    assert torque_reverses(under(signals, torque), SWING)[0]
     assert "at one value," in torque_reverses(under(signals, torque, COUNT // 2), SWING)[1]
-
-
-def test_a_torque_without_end_counts_once(signals: Signals) -> None:
-    """Reversals at almost the same torque are one value."""
-    torque = through(0.0, 30.0, -30.0, 31.0, -29.0, 32.0, -30.5, 30.0)
-    assert "at 2 values" in torque_reverses(under(signals, torque), SWING)[1]
 
 
 def test_a_torque_that_never_changes_is_assumed(signals: Signals) -> None:

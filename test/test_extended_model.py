@@ -14,6 +14,7 @@ from hd_diag.effects.remainders import ORDERS
 from hd_diag.extended_model import ExtendedModel, Term
 from hd_diag.model.torsion_map import TorsionMap, build
 
+Column = np.ndarray
 CHUNK_TOLERANCE = 1e-12  # [rad]
 EVERY = tuple(VALUES)
 MODEL = model(*EVERY)
@@ -27,9 +28,7 @@ def table() -> TorsionMap:
     return build(MODEL.drive.mesh, 60.0)
 
 
-def run(
-    made: ExtendedModel, cuts: list[int], speed: np.ndarray | None, table: TorsionMap | None
-) -> np.ndarray:
+def run(made: ExtendedModel, cuts: list[int], speed: Column | None, table: TorsionMap | None) -> Column:
     state, parts = made.start(), []
     for low, high in zip([0, *cuts], [*cuts, COUNT], strict=True):
         at = slice(low, high)
@@ -39,17 +38,22 @@ def run(
     return np.concatenate(parts)
 
 
-def whole(made: ExtendedModel, **changed: np.ndarray | None) -> np.ndarray:
+def whole(made: ExtendedModel, **changed: Column | None) -> Column:
     columns = {"time": TIME, "input_angle": ANGLE, "speed": None, "torque": TORQUE, "temperature": HEAT}
-    return made.step(made.start(), **(columns | changed))[0]  # type: ignore[arg-type]
+    return made.step(made.start(), **(columns | changed))[0]
 
 
-def added(name: str, **changed: np.ndarray | None) -> np.ndarray:
-    """What an effect adds."""
+def assert_singles_are_the_whole(made: ExtendedModel) -> Column:
+    singles = run(made, list(range(1, COUNT)), None, None)
+    assert_allclose(singles, whole(made), rtol=0.0, atol=CHUNK_TOLERANCE)
+    return singles
+
+
+def added(name: str, **changed: Column | None) -> Column:
     return whole(model(name), **changed) - whole(model(), **changed)
 
 
-@hypothesis.settings(max_examples=25, deadline=None)
+@hypothesis.settings(max_examples=12)
 @hypothesis.given(
     st.lists(st.integers(0, COUNT), max_size=6).map(sorted) | st.just(list(range(1, COUNT))),
     st.booleans(),
@@ -69,8 +73,7 @@ def test_every_effect_runs(name: str) -> None:
     usual = {q.name: float(np.clip(q.prior_scale, q.low, q.high)) for q in effect.quantities}
     values = VALUES.get(name, usual | ({"order": 2.0} if name == "resonance" else {}))
     made = ExtendedModel(MODEL.drive, (term(name, values),), 0.0, RANGES)
-    singles = run(made, list(range(1, COUNT)), None, None)
-    assert_allclose(singles, run(made, [], None, None), rtol=0.0, atol=CHUNK_TOLERANCE)
+    singles = assert_singles_are_the_whole(made)
     assert np.std(singles - transmission_error(MODEL.drive, ANGLE, TORQUE)) > 1e-8
 
 
@@ -80,29 +83,9 @@ def test_a_remainder_beside_a_late_output_depends_on_no_chunk(delay: float) -> N
     line = Term(ORDERS[1], tuple(np.linspace(0.3, 1.0, ORDERS[1].size)), (1e-4, -60.0, 60.0))
     late = term("stream_delay", {"delay": delay})
     made, alone = (ExtendedModel(MODEL.drive, terms, 0.0, RANGES) for terms in ((late, line), (late,)))
-    singles = run(made, list(range(1, COUNT)), None, None)
-    assert_allclose(singles, run(made, [], None, None), rtol=0.0, atol=CHUNK_TOLERANCE)
-    assert_allclose(singles[1:] - run(alone, [], None, None)[1:], added_by(line)[1:], rtol=0.0, atol=1e-12)
-
-
-def added_by(one: Term) -> np.ndarray:
-    beside, bare = (ExtendedModel(MODEL.drive, terms, 0.0, RANGES) for terms in ((one,), ()))
-    return whole(beside) - whole(bare)
-
-
-def test_the_future_changes_nothing() -> None:
-    """With another second half the first half is the same to the last bit."""
-    middle = COUNT // 2
-    late = np.arange(COUNT) >= middle
-    other = whole(
-        MODEL,
-        input_angle=np.where(late, -ANGLE, ANGLE),
-        torque=np.where(late, 0.5 * TORQUE, TORQUE),
-        temperature=np.where(late, 90.0, HEAT),
-    )
-    same = whole(MODEL)
-    assert_array_equal(other[:middle], same[:middle])
-    assert np.abs(other[middle:] - same[middle:]).min() > 0.0
+    singles = assert_singles_are_the_whole(made)
+    beside, bare = (whole(ExtendedModel(MODEL.drive, terms, 0.0, RANGES)) for terms in ((line,), ()))
+    assert_allclose((singles - whole(alone))[1:], (beside - bare)[1:], rtol=0.0, atol=1e-12)
 
 
 def test_no_rows_are_no_step_and_it_needs_what_its_effects_need() -> None:
@@ -123,7 +106,7 @@ def test_without_effects_it_is_the_drive(table: TorsionMap) -> None:
 
 
 @pytest.mark.parametrize("reported", [None, SPEED], ids=["angles", "reported"])
-def test_speed_is_as_reported_or_else_of_the_last_two_angles(reported: np.ndarray | None) -> None:
+def test_speed_is_as_reported_or_else_of_the_last_two_angles(reported: Column | None) -> None:
     difference = np.concatenate(([0.0], np.diff(ANGLE) / np.diff(TIME)))
     speed = difference if reported is None else np.where(np.isfinite(reported), reported, difference)
     forward = speed * np.sign(MODEL.drive.kinematics.ratio) / 100.0
@@ -134,7 +117,6 @@ def test_speed_is_as_reported_or_else_of_the_last_two_angles(reported: np.ndarra
 
 
 def test_torques_add_up_in_the_mesh() -> None:
-    """Two causes that are torque are one torque: the mesh is no sum of springs."""
     names = "torque_offset", "viscous_windup"
     more = VALUES["torque_offset"]["offset"]
     both, alone = whole(model(*names)), whole(model(names[1]), torque=TORQUE + more)
@@ -158,7 +140,7 @@ def test_delay_looks_back(delay: float) -> None:
 
 
 @pytest.mark.parametrize("heat", [None, np.full(COUNT, np.nan)], ids=["none", "nan"])
-def test_without_a_temperature_there_is_no_drift(heat: np.ndarray | None) -> None:
+def test_without_a_temperature_there_is_no_drift(heat: Column | None) -> None:
     assert_array_equal(added("thermal_drift", temperature=heat), np.zeros(COUNT))
 
 

@@ -24,11 +24,6 @@ NAMES_OF_REMAINDERS = {remainder.name for remainder in REMAINDERS}
 NOISE = 1e-5  # [rad]
 
 
-def true_model() -> ExtendedModel:
-    made = model()
-    return ExtendedModel(made.drive, (term("stream_delay", {"delay": DELAY}),), made.offset, made.ranges)
-
-
 def runs(number: int) -> tuple[np.ndarray, np.ndarray]:
     """Input angle [rad] and torque [N m] of runs at different speeds, with rests between; (n,) each."""
     speeds = [(-1) ** (i // 2) * (20.0 + 10.0 * (i % 5)) for i in range(number)]
@@ -42,10 +37,11 @@ def runs(number: int) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A bag of a joint with parameters and an effect that are not configured, and its diagnosis."""
     path = tmp_path_factory.mktemp("extension")
     angle, torque = runs(10)
-    made, random = true_model(), np.random.default_rng(11)
+    plain, random = model(), np.random.default_rng(11)
+    delay = (term("stream_delay", {"delay": DELAY}),)
+    made = ExtendedModel(plain.drive, delay, plain.offset, plain.ranges)
     time = np.arange(angle.size) * STEP * 1e-3
     error, _ = made.step(made.start(), time, angle, None, torque, None, made.torsion_map)
     output = angle / RATIO + error + random.normal(0.0, NOISE, angle.size)
@@ -53,22 +49,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     files = ("--model", path / "model.json", "--json", path / "verdict.json")
     result = hd_diag("diagnose", path / "bag.mcap", *files)
     assert result.exit_code == 0, result.output
-    (path / "with_model.yaml").write_text(
-        "hd_diag: {ros__parameters: {joints: [joint_1], joint_1: {model_file: model.json}}}"
-    )
+    text = "hd_diag: {ros__parameters: {joints: [joint_1], joint_1: {model_file: model.json}}}"
+    (path / "with_model.yaml").write_text(text)
     return path
 
 
 @pytest.fixture(scope="module")
 def joint(folder: Path) -> JointConfig:
-    """With the model in force."""
     return load(folder / "with_model.yaml").joints[0]
 
 
 def fit(joint: JointConfig, folder: Path) -> tuple[Record, np.ndarray]:
-    """The record and what the model as it runs leaves of it [rad]."""
     record = read_bags([folder / "bag.mcap"], joint)
-    assert joint.model is not None
     return record, running_residual(joint.model, record, record.reported_torque, joint.model.torsion_map)
 
 
@@ -96,6 +88,9 @@ def test_the_model_as_it_runs_is_as_good_as_told(folder: Path, joint: JointConfi
     assert verdict["extended"]["rms_live"] == pytest.approx(NOISE, rel=0.12)
     assert verdict["extended"]["rms"] == pytest.approx(NOISE, rel=0.12)
     assert verdict["refit"]["rms"] > 4.5 * NOISE
+    # The next diagnosis is of the configured joint: of the parameters before the fit.
+    assert abs(joint.configured.mesh.eccentricity) == 0.0
+    assert abs(joint.drive.mesh.eccentricity) == pytest.approx(9e-6, rel=0.05)
 
 
 def test_a_replay_with_the_model_has_the_residual_of_the_fit(folder: Path, joint: JointConfig) -> None:
@@ -111,9 +106,3 @@ def test_a_replay_with_the_model_has_the_residual_of_the_fit(folder: Path, joint
     kept = np.flatnonzero(np.diff(rows, prepend=-1) == 1)  # after an outlier the record's last angle is older
     assert kept.size > 0.95 * residual.size
     np.testing.assert_allclose(residual[rows[kept]], expected[kept], rtol=0.0, atol=1e-9)
-
-
-def test_a_diagnosis_with_the_model_in_force_is_of_the_configured_joint(joint: JointConfig) -> None:
-    """The parameters before the fit, not those that the model already has."""
-    assert abs(joint.configured.mesh.eccentricity) == 0.0
-    assert abs(joint.drive.mesh.eccentricity) == pytest.approx(9e-6, rel=0.05)

@@ -13,7 +13,7 @@ import pytest
 import rclpy
 import yaml
 from challenge.design import OTHERS, Design
-from cli_runner import assert_one_line_error, config_file, hd_diag
+from cli_runner import assert_one_line_error, hd_diag
 from models import EFFECTS
 from numpy.testing import assert_allclose
 from rcl_interfaces.msg import SetParametersResult
@@ -64,7 +64,8 @@ PAGES = {
     "65/160": (65, 160, 951.0, 540.0, 880.0, 980.0, 235.0, 843.0),
 }
 ENDS = ("8/50", "20/160", "25/101", "65/160")  # of sizes and ratios
-PLANE = {"joint_1.sections": 1}
+PLACES = ("circular_spline_datum", "circular_spline_tip_radius")
+SAMPLE = ("CSG-25-100", "CSG-14-50", "HFUC-90-50", "HFUS-11-100", "HFUC-25-30")
 NAMES = ("size", "ratio", "rated_torque", "k1", "k2", "k3", "t1", "t2")
 
 
@@ -74,12 +75,9 @@ def page(name: str, **more: float) -> dict[str, float]:
     return dict(zip(NAMES, map(float, values), strict=True)) | more
 
 
-def of_page(name: str, joint: str = "joint_1", **more: float) -> Config:
+def of_page(name: str, joint: str = "joint_1", beside: dict[str, Any] | None = None, **more: float) -> Config:
     given = {f"{joint}.gear.{key}": value for key, value in page(name, **more).items()}
-    return resolve({"joints": [joint], **given})
-
-
-# Causes of a small and a large gear ---
+    return resolve({"joints": [joint], **given, **(beside or {})})
 
 
 @pytest.mark.parametrize("name", ["8/50", "65/160"])
@@ -92,18 +90,13 @@ def test_what_is_usual_of_causes_goes_with_the_gear(name: str) -> None:
     begun = linearise(record, drive, fit_parameters.vector(drive, drive))
     known = begun.data.catalogue
     assert begun.in_record(record, record.run == 0).data.catalogue == known
+    assert of_drive(CATALOGUE, EXAMPLE) == CATALOGUE
     for effect, own in zip(CATALOGUE, known, strict=True):
         for q, here in zip(effect.quantities, own.quantities, strict=True):
-            scale = expected.get(q.unit, 1.0)
-            wanted = [scale * each for each in (q.low, q.high, q.prior_scale)]
+            wanted = expected.get(q.unit, 1.0) * np.array([q.low, q.high, q.prior_scale])
             assert_allclose([here.low, here.high, here.prior_scale], wanted, rtol=1e-3, err_msg=q.name)
     units = fit_parameters.units(drive) / np.array([scale.si for scale in fit_parameters.SCALES])
-    wanted = [*[expected["m"]] * 5, 1.0, expected["rad/(N m)"], 1.0, 1.0]
-    assert_allclose(units, wanted, rtol=1e-3)
-
-
-def test_causes_of_the_example_drive_are_as_they_are_stated() -> None:
-    assert of_drive(CATALOGUE, EXAMPLE) == CATALOGUE
+    assert_allclose(units, [*[expected["m"]] * 5, 1.0, expected["rad/(N m)"], 1.0, 1.0], rtol=1e-3)
 
 
 @pytest.mark.parametrize(("name", "fits"), [("8/50", False), ("65/160", True)])
@@ -115,24 +108,18 @@ def test_a_model_file_holds_what_its_gear_can_have(
     name: str, fits: bool, cause: str, values: dict[str, float]
 ) -> None:
     """150 um of wear is half a tooth of the small gear, 5 kN m thousands of times its rated torque."""
-    config = of_page(name)
+    config, effect = of_page(name), EFFECTS[cause]
     own = {n: config.flat[f"joint_1.{n}"] for n in DEFAULTS}
-    effect = EFFECTS[cause]
-    wide = [dataclasses.replace(quantity, low=-1e9, high=1e9) for quantity in effect.quantities]
-    effect = dataclasses.replace(effect, quantities=tuple(wide))
-    coefficients, nonlinear = effect.from_physical(values)
+    wide = tuple(dataclasses.replace(quantity, low=-1e9, high=1e9) for quantity in effect.quantities)
+    coefficients, nonlinear = dataclasses.replace(effect, quantities=wide).from_physical(values)
     term = Term(effect, tuple(coefficients.tolist()), nonlinear)
-    ranges = Ranges(Range(-1.0, 1.0), Range(-10.0, 10.0))
-    model = ExtendedModel(config.joints[0].drive, (term,), 0.0, ranges)
+    model = ExtendedModel(config.joints[0].drive, (term,), 0.0, Ranges(Range(-1.0, 1.0), Range(-10.0, 10.0)))
     text = json.dumps(document("joint_1", own, model, {}, [({}, ())], {}, "0"))
     if fits:
         assert parse(text).model.effects[0].coefficients == tuple(coefficients.tolist())
     else:
         with pytest.raises(ConfigError, match=f"{cause}: {next(iter(values))} must be from"):
             parse(text)
-
-
-# Similarity ---
 
 
 def curve_off(drive: Drive, found: Page) -> Any:
@@ -145,30 +132,14 @@ def curve_off(drive: Drive, found: Page) -> Any:
     return own / promised - 1.0
 
 
-def of_gear(gear: Gear) -> Config:
-    return resolve({f"joint_1.gear.{name}": value for name, value in gear.given.items()})
-
-
-def check_page(config: Config) -> None:
-    drive, told = config.joints[0].drive, assess(config, config.joints[0])
-    found = page_of(of_joint(config.flat, "joint_1"))
-    assert found is not None
-    assert np.abs(curve_off(drive, found)).max() < 0.07
-    assert told.found.lost_motion == 0.0
-    # What an assembly may add to the preload goes with the module: half a micrometre or more of it is left.
-    turn = slot_phases(drive.mesh.geometry, 64)
-    built = evaluate(drive.mesh, turn, np.zeros(64, complex), np.zeros(1)).interference.max()
-    assert built < config.flat["joint_1.tolerance.limits.interference"]
-    assert told.warnings == [] or drive.kinematics.ratio == 30.0
-    # Limits of forces are scaled by a law that is right within 10 %; a perfect assembly is well below them.
-    assert told.found.loads.rated < config.flat["joint_1.tolerance.limits.peak_tooth_load"]
-    assert told.found.loads.rated <= 0.51 * config.flat["joint_1.limits.peak_tooth_load.warn"]
+def of_gear(gear: Gear, **more: float) -> Config:
+    given = {f"joint_1.gear.{name}": value for name, value in gear.given.items()}
+    return resolve(given | {f"joint_1.{name}": value for name, value in more.items()})
 
 
 @pytest.mark.parametrize("name", published.PLANE_GEARS)
 def test_gears_in_one_section_are_as_a_fit_by_other_code_has_them(name: str) -> None:
-    gear, expected = table()[name], published.PLANE_GEARS[name]
-    config = resolve({f"joint_1.gear.{key}": value for key, value in gear.given.items()} | PLANE)
+    config, expected = of_gear(table()[name], sections=1), published.PLANE_GEARS[name]
     found = assess(config, config.joints[0])
     _, page, reached = found.torsion
     printed = np.where(page < 100.0 * ARCSEC, 0.1, 1.0)  # to a tenth, from 100 on to one
@@ -182,34 +153,39 @@ def test_gears_in_one_section_are_as_a_fit_by_other_code_has_them(name: str) -> 
 SAMPLE = ("CSG-25-100", "CSG-14-50", "HFUC-90-50", "HFUS-11-100", "HFUC-25-30")
 
 
-@pytest.mark.parametrize("name", SAMPLE)
+@pytest.mark.parametrize(
+    "name", [*SAMPLE, *(pytest.param(one, marks=pytest.mark.slow) for one in table() if one not in SAMPLE)]
+)
 def test_a_gear_of_the_table_has_its_page_s_torsion_curve(name: str) -> None:
-    check_page(of_gear(table()[name]))
+    config = of_gear(table()[name])
+    drive, told = config.joints[0].drive, assess(config, config.joints[0])
+    assert np.abs(curve_off(drive, page_of(of_joint(config.flat, "joint_1")))).max() < 0.07
+    assert told.found.lost_motion == 0.0
+    # What an assembly may add to the preload goes with the module: half a micrometre or more of it is left.
+    turn = slot_phases(drive.mesh.geometry, 64)
+    built = evaluate(drive.mesh, turn, np.zeros(64, complex), np.zeros(1)).interference.max()
+    assert built < config.flat["joint_1.tolerance.limits.interference"]
+    assert told.warnings == [] or drive.kinematics.ratio == 30.0
+    # Limits of forces are scaled by a law that is right within 10 %; a perfect assembly is well below them.
+    assert told.found.loads.rated < config.flat["joint_1.tolerance.limits.peak_tooth_load"]
+    assert told.found.loads.rated <= 0.51 * config.flat["joint_1.limits.peak_tooth_load.warn"]
 
 
-@pytest.mark.slow
-def test_every_gear_of_the_table_has_its_page_s_torsion_curve() -> None:
-    for gear in table().values():
-        check_page(of_gear(gear))
-
-
-def test_the_table_in_the_docs_is_what_its_command_writes() -> None:
+@pytest.mark.parametrize("all_of_it", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_the_table_in_the_docs_is_what_its_command_writes(all_of_it: bool) -> None:
     written = gear_table.TABLE.read_text(encoding="utf-8").splitlines()
     names = [name for line in written[2:] for name in line[2:].split(" | ")[0].split(", ")]
     assert sorted(names) == sorted(table())
     assert "\n".join(written[:2]) == gear_table.HEAD
-    for row in gear_table.rows({name: table()[name] for name in SAMPLE[:2]}):
-        name, rest = row[2:].split(" | ", 1)
-        assert [line for line in written if line.startswith(f"| {name}") and line.endswith(rest)]
-
-
-@pytest.mark.slow
-def test_the_whole_table_in_the_docs_is_what_its_command_writes() -> None:
-    assert gear_table.TABLE.read_text(encoding="utf-8").splitlines()[2:] == list(gear_table.rows(table()))
+    rows = gear_table.rows(table() if all_of_it else {name: table()[name] for name in SAMPLE[:2]})
+    if all_of_it:
+        assert written[2:] == list(rows)
+    else:
+        for name, _, rest in (row[2:].partition(" | ") for row in rows):
+            assert [line for line in written if line.startswith(f"| {name}") and line.endswith(rest)]
 
 
 def test_a_lost_motion_that_is_given_begins_the_curve() -> None:
-    """Half of it either way; the torsion of the first torques is mostly the gap."""
     lost = math.radians(1.0 / 60.0)
     config = of_page("25/101", lost_motion=lost)
     found = page_of(of_joint(config.flat, "joint_1"))
@@ -223,27 +199,20 @@ def test_the_best_place_of_the_slots_is_better_than_its_neighbours() -> None:
     """An independent search: the miss over places 0.5 µm to either side, compliances fitted by scipy."""
     found = page_of(of_joint(of_page("25/101").flat, "joint_1"))
     best = fitted(EXAMPLE.mesh, 1.0, 202, found)
+    geometry = best.mesh.geometry
+    angle = geometry.slot_pitch / 16 * np.arange(16)
 
     def miss(shift: float) -> float:
-        geometry = best.mesh.geometry
-        places = {
-            n: getattr(geometry, n) + shift for n in ("circular_spline_datum", "circular_spline_tip_radius")
-        }
-        angle = geometry.slot_pitch / 16 * np.arange(16)
+        moved = dataclasses.replace(geometry, **{n: getattr(geometry, n) + shift for n in PLACES})
 
         def off(values: Any) -> Any:
-            mesh = dataclasses.replace(
-                best.mesh, geometry=dataclasses.replace(geometry, **places), tooth_compliance=1e-6 * values[0]
-            )
+            mesh = dataclasses.replace(best.mesh, geometry=moved, tooth_compliance=1e-6 * values[0])
             own = torsion_table(mesh, angle, found.torques).mean(axis=0) + 1e-6 * values[1] * found.torques
             return (own / found.torsion(found.torques) - 1.0) ** 4
 
         start = [1e6 * best.mesh.tooth_compliance, 1e6 * best.cup_compliance]
-        return 2.0 * float(
-            least_squares(
-                off, start, bounds=([0.1, 0.0], [10.0, 20.0]), xtol=1e-12, ftol=1e-12, gtol=1e-30
-            ).cost
-        )
+        ends = {"bounds": ([0.1, 0.0], [10.0, 20.0]), "xtol": 1e-12, "ftol": 1e-12, "gtol": 1e-30}
+        return 2.0 * float(least_squares(off, start, **ends).cost)
 
     here = miss(0.0)
     assert best.miss == pytest.approx(here, rel=3e-2)
@@ -252,31 +221,22 @@ def test_the_best_place_of_the_slots_is_better_than_its_neighbours() -> None:
 
 def test_the_page_of_the_example_s_size_has_the_example_s_teeth() -> None:
     own = of_page("25/80", ratio=100.0, rated_torque=56.0).flat
-    fitted = ("tooth_compliance", "cup_compliance", "circular_spline_datum", "circular_spline_tip_radius")
     width = {"face_width": 0.37 * 30e-3, "cup_length": 1.3 * 30e-3, "sections": 5}
     assert {n: own[f"joint_1.{n}"] for n in width} == pytest.approx(width, rel=1e-5)
-    known = {*fitted, *width}
+    known = {"tooth_compliance", "cup_compliance", *PLACES, *width}
     same = [n for n in DEFAULTS if not n.startswith(("gear.", "limits.", "tolerance.")) and n not in known]
     assert {n: own[f"joint_1.{n}"] for n in same} == {n: DEFAULTS[n] for n in same}
-    datum, tip = (own[f"joint_1.{name}"] - DEFAULTS[name] for name in fitted[2:])
+    datum, tip = (own[f"joint_1.{name}"] - DEFAULTS[name] for name in PLACES)
     assert datum == pytest.approx(tip, abs=1e-12)
 
 
 @pytest.mark.parametrize("design", OTHERS, ids=lambda design: design.name)
 def test_the_challenge_s_own_code_makes_the_same_teeth(design: Design) -> None:
     """Its drives have the example's clearance instead of a page's torsion curve: slots lie elsewhere."""
-    own, other = of_page(design.name).joints[0].drive, design.shape
-    geometry = own.mesh.geometry
-    pairs = (
-        (geometry.semi_major, other.semi_major),
-        (geometry.semi_minor, other.semi_minor),
-        (geometry.flexspline_tip, other.tooth_tip),
-        (
-            geometry.circular_spline_tip_radius - geometry.circular_spline_datum,
-            other.circular_spline_tip_radius - other.circular_spline_datum,
-        ),
-    )
-    assert_allclose(*np.transpose(pairs), rtol=0.0, atol=0.1e-6)
+    own, other = of_page(design.name).joints[0].drive.mesh.geometry, design.shape
+    datum, tip = (getattr(own, name) - getattr(other, name) for name in PLACES)
+    found = own.semi_major, own.semi_minor, own.flexspline_tip, tip - datum
+    assert_allclose(found, [other.semi_major, other.semi_minor, other.tooth_tip, 0.0], rtol=0.0, atol=0.1e-6)
 
 
 @pytest.mark.parametrize(
@@ -289,14 +249,10 @@ def test_the_challenge_s_own_code_makes_the_same_teeth(design: Design) -> None:
         ({"size": 0.0}, "gear.size or gear.pitch_diameter: missing"),
         ({"t1": 50.0}, "gear.t1 (50 N m) must be below gear.t2 (48 N m)"),
         # The same page in other units: 3.1e4 N m/rad are 3.16 x 9.80665 N / (pi / 10800) rad / 10.
-        (
-            {"k1": 3.1, "k2": 5.0},
-            "gear.k1: no gear of size 25 has 3.1 N m/rad, usual is 3.1e+04: if the page",
-        ),
         ({"k1": 3.1}, "if the page means 3.1 × 10⁴ N m/rad, write 3.1e+04"),
         (
             {"k2": 1.5},
-            "gear.k2: no gear of size 25 has 1.5 N m/rad, usual is 4.8e+04: if the page means 1.5 kgf",
+            "gear.k2: no gear of size 25 has 1.5 N m/rad, usual is 4.8e+04: if the page means 1",
         ),
         ({"k3": 17.0}, "if the page means 17 N m/arcmin, write 5.844e+04"),
         ({"k3": 57.0}, "if the page means 57 kN m/rad, write 5.7e+04"),
@@ -322,14 +278,10 @@ def test_a_ratio_of_30_is_done_and_what_changed_is_said() -> None:
 
 @pytest.mark.parametrize(("output", "teeth"), [("flexspline", (202, 204)), ("circular_spline", (200, 202))])
 def test_a_ratio_of_101_is_the_joint_s_at_either_output(output: str, teeth: tuple[int, int]) -> None:
-    given = {f"joint_1.gear.{name}": value for name, value in page("25/101").items()}
-    joint = resolve(given | {"joint_1.output": output}).joints[0]
+    joint = of_page("25/101", beside={"joint_1.output": output}).joints[0]
     geometry = joint.drive.mesh.geometry
     assert (geometry.flexspline_teeth, geometry.circular_spline_teeth) == teeth
     assert joint.drive.kinematics.ratio == 101.0
-
-
-# What a drive is ---
 
 
 def test_characteristics_are_those_of_the_torsion() -> None:
@@ -368,8 +320,8 @@ def test_teeth_without_compiled_code_are_the_compiled_ones(name: str, errors: di
     assert_allclose(numbers, expected, rtol=1e-9)
 
 
-def test_eccentricity_shows_at_rest_and_is_no_warning(tmp_path: Path) -> None:
-    config = load(config_file(tmp_path, eccentricity__magnitude=12e-6))
+def test_eccentricity_shows_at_rest_and_is_no_warning() -> None:
+    config = resolve({"joint_1.eccentricity.magnitude": 12e-6})
     told = assess(config, config.joints[0])
     assert told.found.loads.overlap > 20e-6
     assert told.found.least_backlash < -10e-6
@@ -387,12 +339,8 @@ def test_an_overlap_as_built_is_warned_of_where_it_does_harm(deeper: float, warn
 
 
 def test_a_stiffness_that_is_not_the_page_s_and_torques_beyond_are_told() -> None:
-    beside = {
-        "joint_1.tooth_compliance": 6e-6,
-        "joint_1.limits.peak_tooth_load.warn": 1.0,
-        "joint_1.torque": 90.0,
-    }
-    config = resolve(dict(of_page("20/160").flat) | beside)
+    beside = {"tooth_compliance": 6e-6, "limits.peak_tooth_load.warn": 1.0, "torque": 90.0}
+    config = resolve(of_page("20/160").flat | {f"joint_1.{name}": value for name, value in beside.items()})
     told = "\n".join(assess(config, config.joints[0]).warnings)
     assert "times what gear.k1 gives (1.6e+04)" in told
     assert "on a tooth: more than limits.peak_tooth_load.warn, 1 N" in told
@@ -405,39 +353,29 @@ def test_gears_of_the_table_pass_and_six_times_off_is_refused(name: str) -> None
     for column in ("k1", "k2", "k3", "t1", "t2"):
         unit = "N m/rad" if column.startswith("k") else "N m"
         assert usual(column, gear.size, gear.page.ratio) == pytest.approx(getattr(gear.page, column), rel=1.1)
-        for factor, refused in ((1.4, False), (0.7, False), (6.5, True), (1.0 / 6.5, True)):
-            try:
+        for factor in (1.4, 0.7):
+            check(column, factor * getattr(gear.page, column), unit, gear.size, gear.page.ratio)
+        for factor in (6.5, 1.0 / 6.5):
+            with pytest.raises(ValueError, match="no gear of size"):
                 check(column, factor * getattr(gear.page, column), unit, gear.size, gear.page.ratio)
-            except ValueError:
-                assert refused
-            else:
-                assert not refused
 
 
 def test_a_gear_is_found_by_its_name_and_the_nearest_are_told() -> None:
     assert named(" csg-25-100-2UH ") == ("CSG-25-100", table()["CSG-25-100"])
     assert named("hfuc 32 30")[0] == "HFUC-32-30"
-    for name, nearest in (
-        ("CSF-25-100", "CSG-25-100, SHG-25-100"),
-        ("CSG-25-90", "CSG-25-100"),
-        ("csg25100", "CSG-25-100"),
-        ("", "SHG"),
-        ("CSG-0-0", "HFUC-14-30"),
-    ):
+    near = {"CSF-25-100": "CSG-25-100, SHG-25-100", "CSG-25-90": "CSG-25-100", "csg25100": "CSG-25-100"}
+    for name, nearest in (near | {"": "SHG", "CSG-0-0": "HFUC-14-30"}).items():
         with pytest.raises(ValueError, match=f"no gear {name!r} in the table .* the nearest are .*{nearest}"):
             named(name)
 
 
-# The section of a file ---
-
-
 def test_what_is_given_beside_a_page_holds_and_the_rest_follows_it() -> None:
-    given = {f"joint_1.gear.{name}": value for name, value in page("20/160").items()}
-    config = resolve(given | {"joint_1.ratio": -160.0, "joint_1.circular_spline_datum": 0.02393})
+    beside = {"joint_1.ratio": -160.0, "joint_1.circular_spline_datum": 0.02393}
+    config = of_page("20/160", beside=beside)
     assert config.joints[0].drive.kinematics.ratio == -160.0
     assert config.joints[0].drive.mesh.geometry.circular_spline_datum == 0.02393
     assert config.flat["joint_1.flexspline_teeth"] == 320
-    assert set(config.given) - set(given) == {"joint_1.ratio", "joint_1.circular_spline_datum"}
+    assert set(config.given) - set(of_page("20/160").given) == set(beside)
 
 
 @pytest.mark.parametrize(
@@ -447,9 +385,8 @@ def test_a_given_width_keeps_the_page_s_curve(width: dict[str, Any]) -> None:
     config = resolve({**of_page("25/80").given, **{f"joint_1.{name}": v for name, v in width.items()}})
     own = of_joint(config.flat, "joint_1")
     assert {name: own[name] for name in width} == width
-    assert {name for name in config.given if "gear" not in name} - {"joints"} == {
-        f"joint_1.{name}" for name in width
-    }
+    beside = {name for name in config.given if "gear" not in name}
+    assert beside == {"joints", *(f"joint_1.{name}" for name in width)}
     assert np.abs(curve_off(config.joints[0].drive, page_of(own))).max() < 0.07
     assert resolve(dict(config.flat)).flat == config.flat
 
@@ -480,9 +417,8 @@ def test_an_overlap_at_its_limit_does_the_same_to_every_gear(name: str) -> None:
     mesh, warn = joint.drive.mesh, joint.limits["overlap"].warn
 
     def eccentric(size: float) -> ToothLoads:
-        return tooth_loads(
-            dataclasses.replace(joint.drive, mesh=dataclasses.replace(mesh, eccentricity=size))
-        )
+        moved = dataclasses.replace(mesh, eccentricity=size)
+        return tooth_loads(dataclasses.replace(joint.drive, mesh=moved))
 
     first, second = (eccentric(share * mesh.geometry.module).overlap for share in (0.02, 0.05))
     size = (0.02 + 0.03 * (warn - first) / (second - first)) * mesh.geometry.module
@@ -508,8 +444,6 @@ def test_defaults_of_tolerances_ask_the_same_of_every_gear(name: str) -> None:
 
 @pytest.mark.parametrize(("name", "free"), [("8/50", 3e-5), ("25/80", 5e-5), ("65/160", 6e-5)])
 def test_the_report_shows_backlash_as_far_as_goes_with_the_teeth(name: str, free: float) -> None:
-    """A like share of the teeth is near enough to be shown, whatever the gear."""
-
     def shown(drive: Drive) -> tuple[float, float]:
         found = teeth_over_turn(drive, np.linspace(0.0, 6.0, 50), np.full(50, drive.rated_torque))
         return found.free, float(np.mean(found.backlash < found.free))
@@ -525,28 +459,27 @@ def test_a_page_is_set_while_a_node_runs() -> None:
     node = Node("hd_diag", context=context, automatically_declare_parameters_from_overrides=True)
     applied: list[Config] = []
 
-    def put(*values: tuple[str, float]) -> Any:
+    def put(**values: float) -> Any:
+        given = [Parameter(f"joint_1.{n.replace('__', '.')}", value=v) for n, v in values.items()]
         try:
-            return node.set_parameters_atomically([Parameter(f"joint_1.{n}", value=v) for n, v in values])
+            return node.set_parameters_atomically(given)
         except ConfigError as error:  # which the node's services tell
             return SetParametersResult(successful=False, reason=str(error))
 
     try:
         server = ParameterServer(node, lambda joint, path: "")
         server.serve(applied.append)
-        whole = [(f"gear.{name}", value) for name, value in page("20/160").items()]
-        refused = put(("gear.size", 20.0))
+        refused = put(gear__size=20.0)
         assert (refused.successful, server.config.flat["joint_1.flexspline_teeth"]) == (False, 200)
         assert "gear.ratio: missing" in refused.reason
-        assert put(*whole).successful
+        assert put(**{f"gear__{name}": value for name, value in page("20/160").items()}).successful
         assert applied[-1] == of_page("20/160")
         assert node.get_parameter("joint_1.flexspline_teeth").value == 320
-        assert put(("gear.k1", 1.7e4)).successful
-        assert applied[-1] == of_page("20/160", k1=1.7e4)
-        assert not put(("gear.ratio", 20.0)).successful
-        assert server.config == of_page("20/160", k1=1.7e4)
-        assert put(("circular_spline_datum", 0.02393)).successful
-        assert put(("gear.k1", 1.6e4)).successful
+        assert put(gear__k1=1.7e4).successful
+        assert not put(gear__ratio=20.0).successful
+        assert server.config == applied[-1] == of_page("20/160", k1=1.7e4)
+        assert put(circular_spline_datum=0.02393).successful
+        assert put(gear__k1=1.6e4).successful
         assert server.config.flat["joint_1.circular_spline_datum"] == 0.02393
         assert node.get_parameter("joint_1.circular_spline_datum").value == 0.02393
     finally:
@@ -554,11 +487,11 @@ def test_a_page_is_set_while_a_node_runs() -> None:
         context.shutdown()
 
 
-# The verb ---
-
-
 def arguments(name: str) -> list[str]:
     return [f"--{key.replace('_', '-')}={value}" for key, value in page(name).items()]
+
+
+NAMED = {"elbow.input_joint": "elbow_motor", "elbow.output_joint": "elbow"}
 
 
 def test_the_file_says_what_was_given_assumed_and_reached(tmp_path: Path) -> None:
@@ -566,7 +499,7 @@ def test_the_file_says_what_was_given_assumed_and_reached(tmp_path: Path) -> Non
     more = ("--joint", "elbow", "--accuracy", "1.0", "--figure", figure, "--json", tmp_path / "g.json")
     result = hd_diag("gear", *arguments("20/160"), "--out", out, *more)
     assert result.exit_code == 0, result.output
-    text = out.read_text()
+    text, config = out.read_text(), load(out)
     for part in (
         "--ratio 160",
         "Assumed by similarity",
@@ -575,38 +508,25 @@ def test_the_file_says_what_was_given_assumed_and_reached(tmp_path: Path) -> Non
         "the assumed profile",
     ):
         assert part in text
-    config = load(out)
-    assert config == resolve(
-        {
-            **of_page("20/160", "elbow").given,
-            "elbow.accuracy": math.radians(1.0 / 60.0),
-            "elbow.input_joint": "elbow_motor",
-            "elbow.output_joint": "elbow",
-        }
-    )
+    given = of_page("20/160", "elbow").given
+    assert config == resolve({**given, **NAMED, "elbow.accuracy": math.radians(1.0 / 60.0)})
     assert yaml.safe_load(text)["hd_diag"]["ros__parameters"]["elbow"]["circular_spline_teeth"] == 322
     told = json.loads((tmp_path / "g.json").read_text())
     keys = "k1 k2 k3 lost_motion least_backlash overlap error_per_eccentricity warnings"
     assert set(keys.split()) <= set(told["joints"]["elbow"])
-    checked = json.loads(hd_diag("check", out, "--json", "-").stdout)
-    assert checked["joints"] == told["joints"]
+    assert json.loads(hd_diag("check", out, "--json", "-").stdout)["joints"] == told["joints"]
     assert "addendum_radius" in figure.read_text()
 
 
 def test_a_name_needs_no_numbers_and_what_is_given_beats_it(tmp_path: Path) -> None:
-    out = tmp_path / "elbow.yaml"
+    out, gear = tmp_path / "elbow.yaml", table()["CSG-25-100"]
     result = hd_diag("gear", "csg-25-100", "--out", out, "--joint", "elbow", "--k1", "2.8e4")
     assert result.exit_code == 0, result.output
-    gear = table()["CSG-25-100"]
     expected = {f"elbow.gear.{name}": value for name, value in gear.given.items()} | {"elbow.gear.k1": 2.8e4}
-    assert load(out).flat == resolve({"joints": ["elbow"], **expected}).flat | {
-        "elbow.input_joint": "elbow_motor",
-        "elbow.output_joint": "elbow",
-    }
+    assert load(out).flat == resolve({"joints": ["elbow"], **expected}).flat | NAMED
     assert "hd-diag gear csg-25-100 --joint elbow --k1 28000" in out.read_text()
-    told = json.loads(hd_diag("gear", "CSG-25-100", "--output", "circular_spline", "--json", "-").stdout)[
-        "parameters"
-    ]
+    result = hd_diag("gear", "CSG-25-100", "--output", "circular_spline", "--json", "-")
+    told = json.loads(result.stdout)["parameters"]
     assert (told["joint_1.gear.ratio"], told["joint_1.flexspline_teeth"]) == (101.0, 200)
     assert_one_line_error(hd_diag("gear", "CSF-25-100"), "no gear 'CSF-25-100'", "CSG-25-100")
     assert_one_line_error(hd_diag("gear"), "give the name of a gear, as CSG-25-100")
@@ -627,18 +547,17 @@ def test_what_depends_on_the_assumed_profile_is_told_of_a_page_alone(tmp_path: P
 def test_an_edited_file_is_not_overwritten_without_being_asked(tmp_path: Path) -> None:
     out = tmp_path / "elbow.yaml"
     out.write_text("edited")
-    assert_one_line_error(
-        hd_diag("gear", "CSG-25-100", "--out", out), "exists already: --overwrite replaces it"
-    )
+    given = ("gear", "CSG-25-100", "--out", out)
+    assert_one_line_error(hd_diag(*given), "exists already: --overwrite replaces it")
     assert out.read_text() == "edited"
-    assert hd_diag("gear", "CSG-25-100", "--out", out, "--overwrite").exit_code == 0
+    assert hd_diag(*given, "--overwrite").exit_code == 0
     assert load(out).joints[0].drive.rated_torque == 87.0
 
 
 def test_errors_of_eccentricities_are_a_table() -> None:
     config = of_page("25/101")
     told, drive = assess(config, config.joints[0]), config.joints[0].drive
-    angle = 2.0 * np.pi * np.arange(4001) / 4001
+    angle = 2.0 * np.pi * np.arange(1601) / 1601
 
     def order_2(size: float) -> float:
         mesh = dataclasses.replace(drive.mesh, eccentricity=size)
@@ -671,14 +590,8 @@ def test_a_ratio_one_off_the_page_s_is_noted() -> None:
     assert "the output is the circular spline" in told(101, "flexspline")
 
 
-@pytest.mark.parametrize("name", ["65/160"])
-def test_other_verbs_take_the_file_with_their_own_defaults(name: str, tmp_path: Path) -> None:
+def test_simulate_takes_the_file_with_its_own_defaults(tmp_path: Path) -> None:
     out, bag = tmp_path / "gear.yaml", tmp_path / "joint.mcap"
-    assert hd_diag("gear", *arguments(name), "--out", out).exit_code == 0
-    for words in (
-        ("mesh", "--config", out),
-        ("simulate", "--config", out, "--out", bag, "--duration", "4", "--rate", "100"),
-        ("replay", bag, "--config", out, "--out", tmp_path / "replayed.mcap"),
-    ):
-        result = hd_diag(*words)
-        assert result.exit_code == 0, (words, result.output)
+    assert hd_diag("gear", *arguments("65/160"), "--out", out).exit_code == 0
+    result = hd_diag("simulate", "--config", out, "--out", bag, "--duration", "4", "--rate", "100")
+    assert result.exit_code == 0, result.output

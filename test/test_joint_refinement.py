@@ -14,10 +14,8 @@ from hd_diag.diagnosis.fit.joint_refinement import _within, covariance, free, po
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.effects.effect import Effect
 
-TRUTH = {
-    "torsional_hardening": (-6e-6, 8e-6, 11.0, 30.0, 0.1),
-    "hysteresis": (1e-4, 6e-5, 9.0, 1.6, 2.0, 1.5),
-}
+HARDENING, LOOP = (-6e-6, 8e-6, 11.0, 30.0, 0.1), (1e-4, 6e-5, 9.0, 1.6, 2.0, 1.5)
+TRUTH = {"torsional_hardening": HARDENING, "hysteresis": LOOP}
 PARAMETERS = fit_parameters.count(CONFIGURED)
 MODEL = PARAMETERS + 1  # and the encoders' offset
 
@@ -27,10 +25,9 @@ Case = tuple[Effect, tuple[float, ...], LinearisedFit]
 
 @pytest.fixture(scope="module", params=TRUTH)
 def case(request: pytest.FixtureRequest) -> Case:
-    """An effect, its true values and a fit of a record with it."""
     effect, values = EFFECTS[request.param], TRUTH[request.param]
-    named = {quantity.name: value for quantity, value in zip(effect.quantities, values, strict=True)}
-    return effect, values, bench(of(effect, **named))
+    names = (quantity.name for quantity in effect.quantities)
+    return effect, values, bench(of(effect, **dict(zip(names, values, strict=True))))
 
 
 def test_nonlinear_values_are_returned(case: Case) -> None:
@@ -97,15 +94,11 @@ def test_slopes_are_those_of_the_response(case: Case) -> None:
     assert slopes(made, chosen[:1]).shape == (made.data.record.size, 0)
 
 
-def test_linear_effects_stay_as_they_are(case: Case) -> None:
-    *_, made = case
-    chosen = ((EFFECTS["torque_offset"], ()), (EFFECTS["encoder_interpolation"], (64.0,)))
-    assert polished(made, chosen)[1] == chosen
-
-
 def test_places_in_the_covariance(case: Case) -> None:
     effect, values, made = case
     lines = EFFECTS["encoder_interpolation"]
+    linear = ((EFFECTS["torque_offset"], ()), (lines, (64.0,)))
+    assert polished(made, linear)[1] == linear
     chosen = (lines, (64.0,)), (effect, values[2:]), (EFFECTS["viscous_windup"], (1.0,))
     spread, places = covariance(made, chosen)
     last = 7 + len(values) - 2
@@ -127,31 +120,23 @@ def test_free_values_widen_what_is_known_of_the_coefficients(case: Case) -> None
 
 def test_a_value_stops_at_its_limit() -> None:
     effect = EFFECTS["viscous_windup"]
-    low = effect.nonlinear[0].low
     made = bench(lambda signals: signals.contact.under_more_torque(2.0 * np.sign(signals.forward_speed)))
-    assert polished(made, ((effect, (0.8,)),))[1][0][1] == (low,)
+    assert polished(made, ((effect, (0.8,)),))[1][0][1] == (effect.nonlinear[0].low,)
 
 
 def test_deviations_follow_the_scatter_of_recordings() -> None:
     """A joint whose eccentricity differs from one recording to the next: the mean of four is half as sure."""
     sizes = np.array([11.0, 12.0, 13.0, 12.0])
-    given = [parted(size * 1e-6, seed) for seed, size in enumerate(sizes)]
-    rows = {name: np.concatenate([one[name] for one in given]) for name in given[0]}
-    bag = np.repeat(np.arange(sizes.size), given[0]["time"].size)
+    drives = [joint(eccentricity__magnitude=1e-6 * x, eccentricity__direction=0.6).drive for x in sizes]
+    given = [swinging(10.0, seed, drive) for seed, drive in enumerate(drives)]
+    names = {"time": "time", "input": "input_angle", "output": "output_angle", "torque": "reported_torque"}
+    rows = {name: np.concatenate([getattr(one, own) for one in given]) for name, own in names.items()}
+    bag = np.repeat(np.arange(sizes.size), given[0].size)
     made = linearise(prepared(rows, bag), CONFIGURED, POINT).with_noise(())
     spread, _ = covariance(made, ())
     towards = POINT[:2] / np.hypot(*POINT[:2])
     expected = sizes.std(ddof=1) / np.sqrt(sizes.size)
     assert np.sqrt(towards @ spread[:2, :2] @ towards) == pytest.approx(expected, rel=0.25)
-
-
-def parted(eccentricity: float, seed: int) -> dict[str, np.ndarray]:
-    """Columns of one recording."""
-    record = swinging(
-        10.0, seed, joint(eccentricity__magnitude=eccentricity, eccentricity__direction=0.6).drive
-    )
-    names = {"time": "time", "input": "input_angle", "output": "output_angle", "torque": "reported_torque"}
-    return {name: getattr(record, column) for name, column in names.items()}
 
 
 def test_deviations_follow_the_scatter_of_blocks(case: Case) -> None:
@@ -179,7 +164,6 @@ def test_a_value_beside_that_of_a_grid_point_moves_as_far_as_any(near: float) ->
 
 
 def test_a_step_that_leaves_a_range_ends_on_it_and_the_others_follow() -> None:
-    """No point within the ranges is better."""
     friction, rng = EFFECTS["coulomb_windup"], np.random.default_rng(2)
     chosen = ((friction, (0.1, 0.002, 0.5, 19.0)), (EFFECTS["viscous_windup"], (1.0,)))
     root = rng.standard_normal((5, 5))

@@ -1,16 +1,15 @@
 """Parameters that a record does not move stay as configured, and say how far off they may be."""
 
 import dataclasses
-import functools
 
 import numpy as np
 import pytest
 from benches import CONFIGURED, POINT, bench, chosen_set, solved, swinging
-from challenge import families, records
+from challenge import families
 from joint_records import generated
 
 from hd_diag.diagnosis.calibration import ODDS
-from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
+from hd_diag.diagnosis.diagnosis import diagnose
 from hd_diag.diagnosis.evidence.kept_parameters import DISPLACEMENTS, Kept, kept_parameters
 from hd_diag.diagnosis.evidence.search import begun
 from hd_diag.diagnosis.evidence.sets import Set
@@ -26,12 +25,10 @@ AS_CONFIGURED = fit_parameters.vector(CONFIGURED, CONFIGURED)
 
 
 def faultless(seed: int, seconds: float = 20.0) -> Record:
-    """A drive that is as configured."""
     return swinging(seconds, seed, CONFIGURED)
 
 
 def settled(record: Record, start: np.ndarray) -> Set:
-    """Beside remainders, without causes, from a start."""
     return begun(linearise(record, CONFIGURED, start).with_noise(()))
 
 
@@ -40,57 +37,40 @@ def refitted(record: Record) -> Set:
     return settled(record, AS_CONFIGURED + np.array([0.5, 0.4, 0.1, 0.0, 0.1, 0.0, 0.05]))
 
 
-@functools.cache
-def as_configured(seed: int) -> tuple[Set, Set, Kept]:
-    """Of a faultless drive: its refitted parameters, and what of them stays as configured."""
-    free = refitted(faultless(seed))
-    return free, *kept_parameters(free)
-
-
 def whole(best: Set) -> Solution:
     return solution(best, {}, np.random.default_rng(0))
 
 
 @pytest.fixture(scope="module")
 def displaced() -> Set:
-    """With 12 um of eccentricity."""
     return begun(bench())
 
 
 @pytest.mark.parametrize("seed", range(2))
 def test_a_drive_as_configured_stays_so(seed: int) -> None:
-    _, best, kept = as_configured(seed)
+    free = refitted(faultless(seed))
+    best, kept = kept_parameters(free)
     held = list(kept.held)
     assert set(kept.bounds) == DISPLACEMENTS
+    # Less than a hundred to one speaks for a displacement; most that are none win by being none.
+    assert best.value > free.value - ODDS
+    # Datum and compliances have slopes, and remainders would take the place of what is held.
+    assert not {4, 5, 6} & {*held, *best.fit.held}
     assert np.array_equal(best.fit.parameters[held], AS_CONFIGURED[held])
     assert best.fit.fit(best.chosen)[0][held] == pytest.approx(0.0, abs=1e-9)
     assert 0.05 < kept.bounds["eccentricity"] < 4.0
     # Beside none a runout may be anything: it shows by its product with an eccentricity alone.
     assert kept.bounds["runout"] > 10.0
     told = fit_parameters.physical(*kept.spread(whole(best), ()), CONFIGURED)
-    size = told["eccentricity.magnitude"]
-    assert (
-        size["value"] < 1e-12 < size["std"] == pytest.approx(kept.physical(CONFIGURED)["eccentricity"] / 1.96)
-    )
+    size, bound = told["eccentricity.magnitude"], kept.physical(CONFIGURED)["eccentricity"]
+    assert size["value"] < 1e-12 < size["std"] == pytest.approx(bound / 1.96)
 
 
 def test_what_the_record_shows_moves(displaced: Set) -> None:
     best, kept = kept_parameters(displaced)
     assert "eccentricity" not in kept.bounds
+    assert not {4, 5, 6} & {*kept.held, *best.fit.held}
     assert best.fit.parameters[:2] == pytest.approx(POINT[:2], abs=0.5)
-
-
-def test_datum_and_compliances_are_never_held(displaced: Set) -> None:
-    """They have slopes, and remainders would take the place of what is held."""
-    for best, kept in (kept_parameters(displaced), as_configured(0)[1:]):
-        assert not {4, 5, 6} & {*kept.held, *best.fit.held}
-
-
-def test_what_is_held_costs_little_evidence() -> None:
-    """Less than a hundred to one speaks for a displacement; most that are none win by being none."""
-    for seed in range(2):
-        free, best, _ = as_configured(seed)
-        assert best.value > free.value - ODDS
 
 
 def test_what_is_held_makes_the_others_no_more_certain(displaced: Set) -> None:
@@ -106,21 +86,19 @@ def test_what_is_held_makes_the_others_no_more_certain(displaced: Set) -> None:
 def test_displacements_that_show_by_their_product_are_free() -> None:
     """0.6 um of eccentricity, which is not certain by itself, beside 9 um of runout."""
     both = AS_CONFIGURED + np.array([0.45, 0.4, 6.0, 6.75, 0.0, 0.0, 0.0])
-    record = swinging(20.0, 0, fit_parameters.drive_of(both, CONFIGURED))
-    assert not DISPLACEMENTS & kept_parameters(settled(record, both))[1].bounds.keys()
-    for one in (both * [1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 1.0], both * [0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0]):
-        record = swinging(20.0, 0, fit_parameters.drive_of(one, CONFIGURED))
-        assert kept_parameters(settled(record, one))[1].bounds.keys() >= DISPLACEMENTS
+    for place, shares in enumerate(([1, 1, 1, 1, 1, 1, 1], [1, 1, 0, 0, 1, 1, 1], [0, 0, 1, 1, 1, 1, 1])):
+        point = both * shares
+        record = swinging(20.0, 0, fit_parameters.drive_of(point, CONFIGURED))
+        bounds = kept_parameters(settled(record, point))[1].bounds
+        assert DISPLACEMENTS & bounds.keys() == (DISPLACEMENTS if place else set())
 
 
 def test_intervals_reach_the_minima_that_do_as_well() -> None:
-    """Under torque of one sign two datums 12 um apart leave the same of a drive without displacement."""
     made = families.made("faultless", 4005)
     fit = linearise(generated(made), CONFIGURED, AS_CONFIGURED).with_noise(())
-    far = AS_CONFIGURED + np.array([0.0, 0.0, 0.0, 0.0, -14.0, 0.0, 0.0])
-    near = AS_CONFIGURED + np.array([0.0, 0.0, 0.0, 0.0, 8.0, 0.0, 0.0])
-    without = dataclasses.replace(fit, held=(0, 1, 2, 3))
-    beside, other = (settle(without.moved(at), (), rounds=5, learn=False) for at in (far, near))
+    without, datum = dataclasses.replace(fit, held=(0, 1, 2, 3)), np.eye(PARAMETERS)[4]
+    starts = (without.moved(AS_CONFIGURED + away * datum) for away in (-14.0, 8.0))
+    beside, other = (settle(start, (), rounds=5, learn=False) for start in starts)
     kept = Kept({"eccentricity": 1.0, "runout": 8.0})
     found, alone = kept.spread(solved(beside), ())
     reached, spread = kept.spread(solved(beside), (chosen_set(other),))
@@ -129,21 +107,10 @@ def test_intervals_reach_the_minima_that_do_as_well() -> None:
     assert 3.0 * 1.96 * np.sqrt(alone[4, 4]) < away < 1.96 * np.sqrt(spread[4, 4])
 
 
-def diagnosed(family: str, seed: int) -> tuple[records.Record, Diagnosis]:
-    made = families.made(family, seed)
-    return made, diagnose(generated(made), CONFIGURED, np.random.default_rng(0))
+SLOW = [pytest.param(seed, marks=pytest.mark.slow) for seed in (3300, 5107, 5205, 1_000_000_575)]
 
 
-@pytest.mark.parametrize(
-    "seed",
-    [
-        pytest.param(3300, marks=pytest.mark.slow),
-        pytest.param(5107, marks=pytest.mark.slow),
-        pytest.param(5205, marks=pytest.mark.slow),
-        pytest.param(1_000_000_575, marks=pytest.mark.slow),
-        1_000_001_822,
-    ],
-)
+@pytest.mark.parametrize("seed", [*SLOW, 1_000_001_822])
 def test_beside_no_eccentricity_none_is_claimed(seed: int) -> None:
     """In some seconds of a faultless joint under a noisy torque.
 
@@ -151,7 +118,7 @@ def test_beside_no_eccentricity_none_is_claimed(seed: int) -> None:
     38 and 47 of its own noise, and is slow noise; the last two have a cup that is not the configured one, and
     one of them leaves so much that it may be a misfit, which an eccentricity would be the end of.
     """
-    _, found = diagnosed("faultless", seed)
+    found = diagnose(generated(families.made("faultless", seed)), CONFIGURED, np.random.default_rng(0))
     assert {"eccentricity", "runout"} <= found.kept.keys()
     assert 0.1e-6 < found.kept["eccentricity"] < 10e-6
     assert "eccentricity" not in {change.name for change in Answer(found).changes}
@@ -161,7 +128,8 @@ def test_beside_no_eccentricity_none_is_claimed(seed: int) -> None:
 @pytest.mark.parametrize(("family", "seed"), [("faultless", 4005), ("robot_single", 1_000_000_815)])
 def test_under_torque_of_one_sign_the_datum_s_other_minimum_is_looked_for(family: str, seed: int) -> None:
     """12 um off it does as well beside a false displacement, or far worse than the true one."""
-    made, found = diagnosed(family, seed)
+    made = families.made(family, seed)
+    found = diagnose(generated(made), CONFIGURED, np.random.default_rng(0))
     datum = found.parameters["circular_spline_datum"]
     assert found.record.torque.min() > -0.1
     assert abs(datum["value"] - made.base.datum) < 4.0 * datum["std"]
@@ -170,9 +138,8 @@ def test_under_torque_of_one_sign_the_datum_s_other_minimum_is_looked_for(family
 def test_what_lies_at_a_bound_has_no_deviation() -> None:
     point = AS_CONFIGURED.copy()
     point[0] = 1614.0
-    told = fit_parameters.physical(
-        fit_parameters.admissible(point, CONFIGURED), np.eye(PARAMETERS), CONFIGURED
-    )
+    point = fit_parameters.admissible(point, CONFIGURED)
+    told = fit_parameters.physical(point, np.eye(PARAMETERS), CONFIGURED)
     assert told["eccentricity.magnitude"]["value"] == pytest.approx(45e-6)
     assert np.isnan(told["eccentricity.magnitude"]["std"])
     assert np.isfinite(told["circular_spline_datum"]["std"])

@@ -10,15 +10,9 @@ from joint_records import ARCSEC, RATIO
 from numpy.testing import assert_array_equal
 from scipy.linalg import toeplitz
 
+from hd_diag.diagnosis import measured_noise as module
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
-from hd_diag.diagnosis.measured_noise import (
-    NEVER,
-    MeasuredNoise,
-    Revisits,
-    count_steps,
-    measured_covariance,
-    measured_noise,
-)
+from hd_diag.diagnosis.measured_noise import MeasuredNoise, Revisits, measured_covariance, measured_noise
 from hd_diag.diagnosis.noise import ORDER, whitening_of
 
 
@@ -37,7 +31,6 @@ def misfit(fit: LinearisedFit) -> np.ndarray:
 @pytest.mark.parametrize("family", noise.FAMILIES)
 @pytest.mark.parametrize("wrong", [0.0, 1.0, 3.0])
 def test_noise_of_any_colour_beside_any_misfit(plain: LinearisedFit, family: str, wrong: float) -> None:
-    """To a tenth; differences between neighbours alone would tell two thirds."""
     own = noise.FAMILIES[family](np.random.default_rng(3), plain.residual.size)
     found = plain.data.noise_of(own + wrong * misfit(plain))
     assert found.repeated
@@ -49,13 +42,13 @@ def test_noise_of_any_colour_beside_any_misfit(plain: LinearisedFit, family: str
 def test_counts_of_encoders(plain: LinearisedFit, output_bits: int, input_bits: int) -> None:
     steps = 2.0 * np.pi / 2.0**output_bits, 2.0 * np.pi / 2.0**input_bits
     record = plain.data.record
-    counted = dataclasses.replace(
-        record,
-        output_angle=steps[0] * np.rint(record.output_angle / steps[0]),
-        input_angle=steps[1] * np.rint(record.input_angle / steps[1]),
+    angles = zip(("output_angle", "input_angle"), steps, strict=True)
+    rounded = {name: step * np.rint(getattr(record, name) / step) for name, step in angles}
+    counted = dataclasses.replace(record, **rounded)
+    assert module.count_steps(counted, RATIO) == pytest.approx(
+        (steps[1] / RATIO, steps[0]), rel=0.05, abs=5e-7
     )
-    assert count_steps(counted, RATIO) == pytest.approx((steps[1] / RATIO, steps[0]), rel=0.05, abs=5e-7)
-    assert count_steps(record, RATIO) == (0.0, 0.0)
+    assert module.count_steps(record, RATIO) == (0.0, 0.0)
     rounding = np.hypot(steps[0], steps[1] / RATIO) / np.sqrt(12.0)
     assert linearise(counted, CONFIGURED, POINT).data.counted == pytest.approx(float(rounding), rel=0.05)
 
@@ -66,14 +59,13 @@ def test_a_motion_that_never_comes_back_tells_bounds(family: str) -> None:
     time = np.arange(0.0, 60.0, 2e-3)
     own = noise.FAMILIES[family](np.random.default_rng(0), time.size)
     slow = float(own.std()) * np.sqrt(2.0) * np.cos(0.1 * np.pi * time)
-    found: MeasuredNoise = measured_noise(own + slow, time, np.zeros(time.size, np.int64), NEVER, 0.0)
+    found: MeasuredNoise = measured_noise(own + slow, time, np.zeros(time.size, np.int64), module.NEVER, 0.0)
     assert not found.repeated
     assert found.low < found.rms == pytest.approx(noise.WHITE, rel=0.2)
     assert found.high == pytest.approx(float(own.std()), rel=0.25)
 
 
 def test_what_an_unmeasured_torque_does_is_no_noise() -> None:
-    """The wave generator comes back, the torque does not: what differs then is torsion."""
     record = dataclasses.replace(swinging(60.0), has_torque=False)
     fit = linearise(record, CONFIGURED, POINT)
     own = noise.autoregressive(np.random.default_rng(3), fit.residual.size)
@@ -103,16 +95,14 @@ def test_where_passes_disagree_the_noise_is_vague(off: float, vague: bool) -> No
     time, residual = np.arange(size) / 200.0, rng.standard_normal(size)
     residual[:200] += off
     first, second = rng.integers(0, size, (2, 3000))
-    noise = measured_noise(
-        residual, time, np.zeros(size, np.int64), Revisits(first, second, rng.random((3000, 3))), 0.0
-    )
+    passed = Revisits(first, second, rng.random((3000, 3)))
+    noise = measured_noise(residual, time, np.zeros(size, np.int64), passed, 0.0)
     assert noise.vague is vague
     assert 0.8 < noise.low < (2.5 if vague else 1.0)
     assert (noise.high > 4.0) is vague
 
 
 def test_passes_too_short_for_a_colour_say_white() -> None:
-    """Runs of fewer samples than the noise model looks back over."""
     run = np.arange(600, dtype=np.int64) // 15
     passed = Revisits(np.arange(0, 500), np.arange(90, 590), np.zeros((500, 1)))
     found = measured_covariance(np.sin(np.arange(600.0)), run, passed, MeasuredNoise(2.0, 1.9, 2.1, True))
@@ -124,7 +114,6 @@ def test_what_all_rows_show_of_the_noise_is_known_on_some(plain: LinearisedFit) 
     own = ARCSEC * np.random.default_rng(4).standard_normal(plain.residual.size)
     measured = own + misfit(plain)
     known = plain.data.passes(measured)
-    assert known is not None
     assert known.rms == pytest.approx(ARCSEC, rel=0.1)
     few = plain.data.at[: plain.data.at.size // 10]
     some = np.isin(np.arange(plain.data.mask.size), few)
@@ -136,5 +125,4 @@ def test_what_all_rows_show_of_the_noise_is_known_on_some(plain: LinearisedFit) 
     # What fits better says more of the noise; what fits worse takes nothing back.
     assert dataclasses.replace(plain.data, known=known).passes(own + 3.0 * misfit(plain)) is known
     better = dataclasses.replace(plain.data, known=known._replace(rms=2.0 * known.rms)).passes(measured)
-    assert better is not None
     assert better.rms == known.rms

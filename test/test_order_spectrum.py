@@ -13,7 +13,6 @@ TURN = 2.0 * np.pi
 
 @pytest.mark.parametrize("moving", [0, 1, 5, 150])
 def test_weights_of_a_record_that_rests_are_those_of_its_motion(moving: int) -> None:
-    """Of 1000 samples; all count alike where none moves."""
     angle = np.minimum(np.arange(1000.0), float(moving))
     weights = travelled(angle)
     assert weights.mean() == pytest.approx(1.0)

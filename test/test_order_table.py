@@ -65,6 +65,7 @@ def test_a_wave_that_grows_with_torque() -> None:
 
 def test_a_phase_that_changes_from_run_to_run_does_not_repeat() -> None:
     rest = remainder()
+    assert order_table(rest, waves(rest), RATED) == ()  # noise
     phase = np.random.default_rng(5).uniform(0.0, 2.0 * np.pi, 20)[rest.run]
     made = added(rest, 6.0 * ARCSEC * np.cos(1.5 * rest.input_angle - phase))
     rows = order_table(made, waves(made), RATED)
@@ -83,18 +84,10 @@ def test_other_rows_do_not_change_whether_a_wave_repeats(repeats: bool) -> None:
     assert [row.repeats for row in refitted_rows(other, rows, RATED)] == [repeats]
 
 
-def test_noise_has_no_rows() -> None:
-    rest = remainder()
-    assert order_table(rest, waves(rest), RATED) == ()
-
-
 @pytest.mark.parametrize(
     ("order", "known", "function"), [(2.0, True, True), (2.0, False, False), (3.0, True, False)]
 )
-def test_a_line_that_the_model_has_as_a_function_is_told_and_not_added_again(
-    order: float, known: bool, function: bool
-) -> None:
-    """Waves of 1, 2 and 4 that any gear has, where they are larger than usual."""
+def test_a_line_that_is_a_function_is_not_added_again(order: float, known: bool, function: bool) -> None:
     rest = remainder()
     made = added(rest, 5.0 * ARCSEC * np.cos(order * rest.input_angle - 1.0))
     made = replace(made, lines=(order,) if known else ())

@@ -52,7 +52,5 @@ def test_a_ratio_without_its_teeth_is_enough(ratio: float, tmp_path: Path) -> No
     assert (row["order"], row["amplitude"]) == (128.0, pytest.approx(SIZE, rel=0.05))
     told = hd_diag("ripple", *given).stderr
     assert "ratio" not in told
-    teeth = (
-        "320 and 322 teeth has this ratio: hd-diag gear" if ratio == 160.0 else "its magnitude must be 100\n"
-    )
-    assert teeth in hd_diag("diagnose", *given).stderr
+    of_teeth = {160.0: "320 and 322 teeth has this ratio: hd-diag gear", 152.4: "its magnitude must be 100\n"}
+    assert of_teeth[ratio] in hd_diag("diagnose", *given).stderr

@@ -31,36 +31,32 @@ def record(name: str) -> SimpleNamespace:
     torsion = np.sign(torque) * np.interp(np.abs(torque), [0.0, t1, t2, 2.0 * t2], ends)
     part = np.zeros(time.size, dtype=np.int64)
     output = angle / ratio - torsion
-    return SimpleNamespace(
-        time=time, input_angle=angle, output_angle=output, torque=torque, temperature=None, part=part
-    )
+    columns = {"time": time, "input_angle": angle, "output_angle": output, "torque": torque}
+    return SimpleNamespace(**columns, temperature=None, part=part)
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_a_joint_with_its_page_s_torsion_is_predicted_as_configured(name: str, tmp_path: Path) -> None:
+def test_a_joint_with_its_page_s_torsion_is_predicted_as_configured(name: str) -> None:
     made, ratio = record(name), PAGES[name][0]
     measured = made.output_angle - made.input_angle / ratio
     drive = hd_diag.gear(name)
     residual = measured - hd_diag.transmission_error(drive, made.input_angle, made.torque)
     loaded = np.abs(made.torque) >= 0.1 * PAGES[name][1]
-    assert np.sqrt(np.mean(residual**2)) < WITHIN * np.sqrt(np.mean(measured**2))
-    assert (
-        np.max(np.abs(residual[loaded] / measured[loaded])) < 1.2 * WITHIN
-    )  # teeth pass: the mean is within
+    assert rms(residual) < WITHIN * rms(measured)
+    assert np.max(np.abs(residual[loaded] / measured[loaded])) < 1.2 * WITHIN  # the mean of teeth is within
 
 
 def test_a_drive_with_the_page_s_slopes_alone_is_not_the_joint() -> None:
-    """The example drive has K1 to K3 of a 25/100 within 6 %, and 12.7 arcsec of lost motion."""
     made = record("CSG-25-100")
     measured = made.output_angle - made.input_angle / 100.0
     low = np.abs(np.abs(made.torque) - 1.4) < 0.2
-    rms = [
-        np.sqrt(
-            np.mean((measured - hd_diag.transmission_error(drive, made.input_angle, made.torque))[low] ** 2)
-        )
-        for drive in (hd_diag.gear("CSG-25-100"), resolve({}).joints[0].drive)
-    ]
-    assert rms[1] > 5.0 * rms[0]
+    both = hd_diag.gear("CSG-25-100"), resolve({}).joints[0].drive
+    own, other = (hd_diag.transmission_error(one, made.input_angle, made.torque)[low] for one in both)
+    assert rms(measured[low] - other) > 5.0 * rms(measured[low] - own)
 
 
 def test_replay_shows_it(tmp_path: Path) -> None:
@@ -69,12 +65,8 @@ def test_replay_shows_it(tmp_path: Path) -> None:
     write_bag(made, bag, "joint_1")
     assert command("gear", "CSG-25-100", "--out", config).exit_code == 0
     assert command("replay", bag, "--config", config, "--out", out).exit_code == 0
-    published = {
-        topic: np.array(
-            [m.ros_msg.position[0] for m in read_ros2_messages(out, topics=[f"/hd_diag/{topic}"])]
-        )
-        for topic in ("residual", "measured_transmission_error")
-    }
-    rms = {topic: np.sqrt(np.mean(values**2)) for topic, values in published.items()}
-    assert published["residual"].size > 2900
-    assert rms["residual"] < WITHIN * rms["measured_transmission_error"]
+    topics = ("/hd_diag/residual", "/hd_diag/measured_transmission_error")
+    read = (read_ros2_messages(out, topics=[topic]) for topic in topics)
+    residual, measured = (np.array([one.ros_msg.position[0] for one in messages]) for messages in read)
+    assert residual.size > 2900
+    assert rms(residual) < WITHIN * rms(measured)

@@ -11,10 +11,10 @@ from reference import polyline, published
 from hd_diag.model.load_sharing import mesh_state
 
 Array = polyline.Array
+AtRest = Callable[[float, float], tuple[float, Array, Array]]
 
 
 def model_at_rest(eccentricity: float, torque: float) -> tuple[float, Array, Array]:
-    """Torsion, backlash and loads (2, Z_R) of the model at angle 0, the eccentricity across the long axis."""
     found = mesh_state(drives.mesh(eccentricity=(0.0, eccentricity)), np.zeros(1), np.array([torque]))
     return float(found.torsion[0]), found.backlash[0], found.load[0]
 
@@ -30,9 +30,7 @@ def reference_at_rest(eccentricity: float, torque: float) -> tuple[float, Array,
 
 @pytest.mark.parametrize("at_rest", [model_at_rest, reference_at_rest])
 @pytest.mark.parametrize("case", published.LOAD_CASES)
-def test_backlash_torsion_and_loads(
-    case: published.LoadCase, at_rest: Callable[[float, float], tuple[float, Array, Array]]
-) -> None:
+def test_backlash_torsion_and_loads(case: published.LoadCase, at_rest: AtRest) -> None:
     beta, backlash, force = at_rest(case.eccentricity, case.torque)
     assert_allclose(beta, case.torsion, rtol=2e-3 if case.torsion < 1e-4 else 5e-4)
     assert tuple((force > 0).sum(axis=1)) == case.loaded
@@ -43,7 +41,7 @@ def test_backlash_torsion_and_loads(
 
 
 @pytest.mark.parametrize("at_rest", [model_at_rest, reference_at_rest])
-def test_stiffness_is_the_catalogue_s(at_rest: Callable[[float, float], tuple[float, Array, Array]]) -> None:
+def test_stiffness_is_the_catalogue_s(at_rest: AtRest) -> None:
     catalogue = (published.K1, published.K2, published.K3)
     for (spans, secant), k in zip(published.SECANT_STIFFNESS.items(), catalogue, strict=True):
         low, high = (at_rest(0.0, torque)[0] for torque in spans)
@@ -58,10 +56,3 @@ def test_common_slot_shift_turns_the_cup() -> None:
     near = np.abs(plain.backlash) < 20e-6
     change = (moved.backlash - plain.backlash)[near]
     assert_allclose(change, np.broadcast_to([[1e-6], [-1e-6]], near.shape)[near], atol=2e-9)
-
-
-@pytest.mark.slow
-def test_refinement_changes_nothing() -> None:
-    coarse, fine = (polyline.mesh(0.9, (0.0, published.ECCENTRICITY), points=n) for n in (1600, 6400))
-    assert_allclose(coarse.backlash, fine.backlash, atol=1e-9)
-    assert_allclose(coarse.pressure_angle, fine.pressure_angle, atol=5e-4)

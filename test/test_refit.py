@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 
+import joint_records
 import numpy as np
 import pytest
 from benches import CONFIGURED
@@ -20,10 +21,9 @@ from hd_diag.diagnosis.fit.fit_parameters import swapped
 from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import linearise
 from hd_diag.diagnosis.fit.refit import FEW_STARTS, distinct, nuisance, refit, usable
-from hd_diag.diagnosis.record import Record, prepare
+from hd_diag.diagnosis.record import Record
 
 RNG = np.random.default_rng(0)
-PARAMETERS = fit_parameters.count(CONFIGURED)
 
 
 @functools.cache
@@ -31,12 +31,10 @@ def generated(seed: int) -> tuple[Record, Base]:
     """Two minutes at 100 Hz of a drive with wrong parameters, and the truth."""
     rng = families.generator("wrong_parameters", seed)
     made = simulate(drawn(rng), (), motion.standard(rng), rng, Recording(rate=100.0))
-    columns = (made.time, made.input_angle, made.output_angle, made.torque, made.temperature)
-    return prepare(*columns, np.zeros(made.time.size, dtype=np.int64), 100.0), made.base
+    return joint_records.generated(made), made.base
 
 
 def away(point: np.ndarray, truth: Base) -> np.ndarray:
-    """Difference from the truth, lobes swapped or not."""
     displacements = np.array([truth.e, truth.runout]) * np.exp(1j * np.array([truth.psi, truth.runout_psi]))
     compliance = truth.compliance / CONFIGURED.mesh.tooth_compliance
     numbers = [*displacements.view(float), truth.datum, compliance, truth.cup]
@@ -75,10 +73,9 @@ def test_a_torque_whose_noise_hides_its_sign_is_left_out() -> None:
     record, _ = generated(3)
     noise = 0.3 * np.random.default_rng(0).standard_normal(record.size)
     light = 0.01 * record.torque
-    quiet, noisy = (
-        dataclasses.replace(record, torque=light, reported_torque=light + one, torque_window=window)
-        for one, window in ((0.0 * noise, record.torque_window), (noise, np.full(record.size, 0.11)))
-    )
+    quiet = dataclasses.replace(record, torque=light, reported_torque=light)
+    window = np.full(record.size, 0.11)
+    noisy = dataclasses.replace(quiet, reported_torque=light + noise, torque_window=window)
     assert quiet.torque_deviation.max() == 0.0
     assert noisy.torque_deviation == pytest.approx(np.full(record.size, 0.3 * np.sqrt(1.75 / 11)), rel=0.05)
     left = usable(quiet) & ~usable(noisy)
@@ -89,12 +86,11 @@ def test_a_torque_whose_noise_hides_its_sign_is_left_out() -> None:
     assert usable(nothing_but_noise).mean() > 0.5
 
 
-@pytest.mark.parametrize("shift", [-0.6, -0.599, 0.0, 5.0])
-def test_a_constant_torque_that_a_shift_takes_away_keeps_its_rows(shift: float) -> None:
-    """Near zero all along, nothing is left out: there would be nothing to fit."""
+def test_a_constant_torque_that_a_shift_takes_away_keeps_its_rows() -> None:
     record, _ = generated(3)
     constant = dataclasses.replace(record, torque=np.full(record.size, 0.6))
-    assert_array_equal(usable(constant, shift), usable(constant))
+    for shift in (-0.6, -0.599, 0.0, 5.0):
+        assert_array_equal(usable(constant, shift), usable(constant))
 
 
 def test_a_rest_is_left_out_unless_the_torque_goes_on() -> None:
@@ -129,47 +125,33 @@ def test_mirrored_drives_are_the_same() -> None:
     assert distinct([]) == []
 
 
-@pytest.mark.parametrize("index", range(PARAMETERS))
-def test_drives_that_are_near_are_the_same(index: int) -> None:
-    step = np.zeros(PARAMETERS)
-    step[index] = module._NEAR[index]
-    assert len(distinct([POINT, POINT + 0.9 * step, swapped(POINT - 0.9 * step)])) == 1
-    assert len(distinct([POINT, POINT + 1.1 * step])) == 2
+def test_drives_that_are_near_are_the_same() -> None:
+    for step in np.diag(module._NEAR[: POINT.size]):
+        assert len(distinct([POINT, POINT + 0.9 * step, swapped(POINT - 0.9 * step)])) == 1
+        assert len(distinct([POINT, POINT + 1.1 * step])) == 2
 
 
-@pytest.fixture(scope="module")
-def short() -> Record:
-    return prepared(columns(seconds=8.0))
+SHORT = prepared(columns(seconds=8.0))
+MINIMA = [(FAR, 5.0, False), (FAR, 11.9, False), (FAR, 12.1, True)]
+SAME = [(swapped(POINT), 0.0, True), (POINT + 0.01, 0.0, True)]
 
 
-@pytest.mark.parametrize(
-    ("other", "worse", "trustworthy"),
-    [
-        (FAR, 5.0, False),
-        (FAR, 11.9, False),
-        (FAR, 12.1, True),
-        (swapped(POINT), 0.0, True),
-        (POINT + 0.01, 0.0, True),
-    ],
-)
-def test_trust_is_lost_to_another_minimum_as_good(
-    other: np.ndarray, worse: float, trustworthy: bool, short: Record, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.parametrize("minimum", [*MINIMA, *SAME], ids=range(5))
+def test_trust_is_lost_to_another_minimum_as_good(minimum: tuple, monkeypatch: pytest.MonkeyPatch) -> None:
+    other, worse, trustworthy = minimum
 
     def fit(problem: module._Problem, point: np.ndarray, steps: int) -> tuple[np.ndarray, float]:
         reached, deviance = (other, 1000.0 + worse) if point[1] > 1.0 else (POINT, 1000.0)
         return np.append(reached, 0.0), deviance
 
     monkeypatch.setattr(module, "_levenberg", fit)
-    found = refit(short, CONFIGURED, RNG)
+    found = refit(SHORT, CONFIGURED, RNG)
     assert found.trustworthy is trustworthy
     assert len(distinct([POINT, found.parameters])) == 1
 
 
-def test_starts_of_either_lobe_end_in_the_same_drive(short: Record) -> None:
-    found = [
-        refit(short, CONFIGURED, np.random.default_rng(0), start=point, starts=FEW_STARTS[:1])
-        for point in (TRUE, swapped(TRUE))
-    ]
-    assert len(distinct([one.parameters for one in found] + [TRUE])) == 1
+def test_starts_of_either_lobe_end_in_the_same_drive() -> None:
+    given, rest = (SHORT, CONFIGURED), {"starts": FEW_STARTS[:1]}
+    found = [refit(*given, np.random.default_rng(0), start=at, **rest) for at in (TRUE, swapped(TRUE))]
+    assert len(distinct([TRUE, *(one.parameters for one in found)])) == 1
     assert [one.trustworthy for one in found] == [True, True]

@@ -21,25 +21,20 @@ from hd_diag.extended_model import ExtendedModel, Term
 from hd_diag.formatting import ARCSEC
 from hd_diag.model.transmission_error import Kinematics
 
+Array = np.ndarray
 CHUNK_TOLERANCE = 1e-12  # [rad]
 FILE_TOLERANCE = 1e-9  # [rad]
 SIZE = 3.0
 SATURATED = 1e-12
 DRIVE = Drive(drives.mesh(), Kinematics(100.0), 56.0)
-RANGE = {
-    TORQUE: (-40.0, 50.0),
-    LOOP: (-40.0, 50.0),
-    SPEED: (-60.0, 80.0),
-    PLACE: (-40.0, 50.0),
-    TIME: (0.0, 60.0),
-} | dict.fromkeys(ORDERS, (-40.0, 50.0))
+RANGE = dict.fromkeys((TORQUE, LOOP, PLACE, *ORDERS), (-40.0, 50.0))
+RANGE |= {SPEED: (-60.0, 80.0), TIME: (0.0, 60.0)}
 COUNT = {TORQUE: 16, LOOP: 4, SPEED: 16, PLACE: 12, TIME: 10} | dict.fromkeys(ORDERS, 14)
-ALONG = {TORQUE: "torque", LOOP: "torque", SPEED: "speed", PLACE: "torque", TIME: "time"}
-ALONG |= dict.fromkeys(ORDERS, "torque")
+ALONG = dict.fromkeys(RANGE, "torque") | {SPEED: "speed", TIME: "time"}
 LASTING = tuple(one for one in REMAINDERS if one.lasting)
 
 
-def signals(count: int = 301, **given: np.ndarray) -> Signals:
+def signals(count: int = 301, **given: Array) -> Signals:
     """A minute inside all ranges, up to their ends, with what is given in its place."""
     share = np.linspace(0.0, 1.0, count)
     turned = 2.0 * np.pi * 7.3 * share
@@ -65,16 +60,13 @@ def signals(count: int = 301, **given: np.ndarray) -> Signals:
 INSIDE = signals()
 
 
-def columns(effect: Remainder, given: Signals = INSIDE, size: float = SIZE) -> np.ndarray:
+def columns(effect: Remainder, given: Signals = INSIDE, size: float = SIZE) -> Array:
     return effect.columns(given, (size, *RANGE[effect]))
 
 
 @pytest.fixture(params=REMAINDERS, ids=lambda one: one.name)
 def effect(request: pytest.FixtureRequest) -> Remainder:
     return request.param
-
-
-# Columns ---
 
 
 def test_a_column_stands_for_each_coefficient(effect: Remainder) -> None:
@@ -84,13 +76,14 @@ def test_a_column_stands_for_each_coefficient(effect: Remainder) -> None:
     assert effect.nonlinear[0].name == "size"
     assert_array_equal(effect.usual, np.ones(effect.size))
     assert np.ptp(found, axis=0).min() > 0.0
-
-
-def test_columns_are_of_order_one_times_the_size(effect: Remainder) -> None:
-    """A torsion's are as large as a segment of the torque."""
-    most, limit = np.abs(columns(effect)).max(), SIZE * (50.0 / 8 if effect is TORQUE else 1.0)
+    # Of order one times the size, a torsion's as large as a segment of the torque.
+    most, limit = np.abs(found).max(), SIZE * (50.0 / 8 if effect is TORQUE else 1.0)
     assert 0.9 * limit < most < (1.0 + 1e-12) * limit
-    assert_allclose(columns(effect, size=5.0 * SIZE), 5.0 * columns(effect), rtol=1e-12)
+    assert_allclose(columns(effect, size=5.0 * SIZE), 5.0 * found, rtol=1e-12)
+    # It is computed from what it says: other signals change nothing.
+    names = {"time", "wave_generator_angle", "output_angle", "speed", "torque"} - set(effect.needs)
+    other = dataclasses.replace(INSIDE, **{name: getattr(INSIDE, name)[::-1] for name in names})
+    assert_array_equal(columns(effect, other), found)
 
 
 def test_units_are_those_of_what_it_goes_by(effect: Remainder) -> None:
@@ -107,29 +100,14 @@ def test_units_are_those_of_what_it_goes_by(effect: Remainder) -> None:
         assert_allclose(found, columns(effect) * (7.0 if effect is TORQUE else 1.0), rtol=1e-9, atol=1e-12)
 
 
-def test_it_is_computed_from_what_it_says(effect: Remainder) -> None:
-    """Other signals change nothing."""
-    names = {"time", "wave_generator_angle", "output_angle", "speed", "torque"} - set(effect.needs)
-    other = dataclasses.replace(INSIDE, **{name: getattr(INSIDE, name)[::-1] for name in names})
-    assert_array_equal(columns(effect, other), columns(effect))
-
-
-def beyond(effect: Remainder, end: float, past: float) -> tuple[np.ndarray, np.ndarray]:
-    """Columns at an end of the range and past it, all else alike."""
-    there, further = (
-        dataclasses.replace(INSIDE, **{ALONG[effect]: np.full(INSIDE.size, x)}) for x in (end, past)
-    )
-    return columns(effect, there), columns(effect, further)
-
-
 @pytest.mark.parametrize("factor", [1.01, 3.0])
 @pytest.mark.parametrize("side", [0, 1])
 def test_beyond_its_range_it_goes_on_as_it_ends(effect: Remainder, side: int, factor: float) -> None:
     """A torsion at the slope of its last segment, a line as at the greatest torque of either sign."""
-    end = 50.0 if effect in (PLACE, *ORDERS) else RANGE[effect][side]
-    end = -end if effect in (PLACE, *ORDERS) and side == 0 else end
+    end = (-50.0, 50.0)[side] if effect in (PLACE, *ORDERS) else RANGE[effect][side]
     past = end + (factor - 1.0) * (100.0 if side else -100.0)
-    at, further = beyond(effect, end, past)
+    ends = (dataclasses.replace(INSIDE, **{ALONG[effect]: np.full(INSIDE.size, x)}) for x in (end, past))
+    at, further = (columns(effect, there) for there in ends)
     if effect is TORQUE:
         more = np.zeros(16)
         more[7 if side else 15] = SIZE * (past - end)
@@ -145,12 +123,9 @@ def test_segments_of_the_torque_sum_to_the_torque() -> None:
     assert np.count_nonzero(found[torque > 0.0][:, 8:]) == np.count_nonzero(found[torque < 0.0][:, :8]) == 0
     inside = (torque > 0.0) & (torque < 50.0)
     assert found[inside].max(axis=0)[:8] == pytest.approx(SIZE * 50.0 / 8, rel=0.2)
-
-
-def test_a_torque_of_one_sign_has_no_segments_of_the_other() -> None:
-    found = TORQUE.columns(INSIDE, (SIZE, 0.0, 50.0))
-    assert np.ptp(found[:, :8], axis=0).min() > 0.0
-    assert not found[:, 8:].any()
+    of_one_sign = TORQUE.columns(INSIDE, (SIZE, 0.0, 50.0))
+    assert np.ptp(of_one_sign[:, :8], axis=0).min() > 0.0
+    assert not of_one_sign[:, 8:].any()
 
 
 def test_friction_changes_its_sign_with_the_direction() -> None:
@@ -190,17 +165,16 @@ def test_a_place_has_three_waves_of_the_output_evenly_and_with_the_torque() -> N
     assert_allclose(found[:, 6:], waves * INSIDE.torque[:, None] / 50.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("seconds", [0.0, 2.0, 4.9])
-def test_a_record_of_seconds_has_no_drift(seconds: float) -> None:
-    short = signals(time=np.linspace(3.0, 3.0 + seconds, INSIDE.size))
-    assert not TIME.columns(short, (SIZE, 3.0, 3.0 + seconds)).any()
-
-
-@pytest.mark.parametrize(("seconds", "knots"), [(5.0, 2), (12.0, 3), (60.0, 10), (6000.0, 10)])
+@pytest.mark.parametrize(
+    ("seconds", "knots"), [(0.0, 0), (2.0, 0), (4.9, 0), (5.0, 2), (12.0, 3), (60.0, 10), (6000.0, 10)]
+)
 def test_a_drift_has_knots_at_least_five_seconds_apart(seconds: float, knots: int) -> None:
+    """A record of some seconds has none."""
     long = signals(time=np.linspace(3.0, 3.0 + seconds, INSIDE.size))
     found = TIME.columns(long, (1.0, 3.0, 3.0 + seconds))
     assert np.count_nonzero(found.any(axis=0)) == knots
+    if not knots:
+        return
     assert_allclose(found.sum(axis=1), 1.0, rtol=1e-12)
     every = found[:, :knots] @ np.linspace(3.0, 3.0 + seconds, knots)
     assert_allclose(every, long.time, rtol=1e-9)  # straight between them
@@ -223,26 +197,21 @@ def test_a_line_changes_with_the_magnitude_of_the_torque(order: int, effect: Rem
     assert_allclose(mirrored, sign * columns(effect, size=1.0), atol=1e-15)
 
 
-# In a model ---
-
-
 def nonlinear(effect: Remainder) -> Values:
     return (1e-7 if effect is TORQUE else 2.0 * ARCSEC, *RANGE[effect])
 
 
 def holding(*effects: Remainder) -> ExtendedModel:
-    """A refitted drive with remainders, of coefficients that differ."""
-    terms = tuple(
-        Term(one, tuple((np.arange(one.size) % 5 - 1.5).tolist()), nonlinear(one)) for one in effects
-    )
-    return ExtendedModel(model().drive, terms, OFFSET, RANGES)
+    sizes = (tuple((np.arange(one.size) % 5 - 1.5).tolist()) for one in effects)
+    terms = [Term(one, size, nonlinear(one)) for one, size in zip(effects, sizes, strict=True)]
+    return ExtendedModel(model().drive, tuple(terms), OFFSET, RANGES)
 
 
-def run(made: ExtendedModel, at_once: bool, count: int = 200) -> np.ndarray:
+def run(made: ExtendedModel, at_once: bool, count: int = 200) -> Array:
     time, angle, torque, heat = motion(count)
-    state, parts = made.start(), []
-    for low in [0] if at_once else range(count):
-        rows = slice(low, count if at_once else low + 1)
+    state, parts, step = made.start(), [], count if at_once else 1
+    for low in range(0, count, step):
+        rows = slice(low, low + step)
         part, state = made.step(state, time[rows], angle[rows], None, torque[rows], heat[rows])
         parts.append(part)
     return np.concatenate(parts)
@@ -270,11 +239,9 @@ def test_a_file_holds_each_of_them(tmp_path: Path) -> None:
     assert_allclose(run(read, True), run(made, True), rtol=0.0, atol=FILE_TOLERANCE)
 
 
-def test_a_file_holds_none_twice() -> None:
-    with pytest.raises(ConfigError, match="a name appears twice"):
-        model_for(json.dumps(content(holding(PLACE, PLACE))), own())
-
-
-def test_a_drift_is_of_one_record() -> None:
-    with pytest.raises(ConfigError, match="a running model cannot hold it"):
-        model_for(json.dumps(content(holding(TIME))), own())
+@pytest.mark.parametrize(
+    ("effects", "said"), [((PLACE, PLACE), "a name appears twice"), ((TIME,), "a running model cannot")]
+)
+def test_a_file_holds_none_twice_and_no_drift(effects: tuple[Remainder, ...], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        model_for(json.dumps(content(holding(*effects))), own())

@@ -25,10 +25,9 @@ BRAKE = Line(100.0, 0.25, 2.0, reverses=True)
 
 
 def found(records: Sequence[OneAngle], ratio: float = RATIO, reach: slice = slice(None)) -> Ripple:
-    time, angle, torque = (
-        np.concatenate([getattr(one, name)[reach] for one in records]) for name in ("time", "angle", "torque")
-    )
-    number = np.repeat(np.arange(len(records)), [one.time[reach].size for one in records])
+    rows = [(one.time[reach], one.angle[reach], one.torque[reach]) for one in records]
+    time, angle, torque = (np.concatenate(columns) for columns in zip(*rows, strict=True))
+    number = np.repeat(np.arange(len(rows)), [row[0].size for row in rows])
     return ripple(time, ratio * angle, torque, number, Kinematics(ratio))
 
 
@@ -54,37 +53,20 @@ def test_lines_are_found_with_their_sizes_and_phases(hidden: Ripple) -> None:
 
 def test_a_gear_turned_about_has_the_same_lines(hidden: Ripple) -> None:
     turned = found([record(3, [LOBES, BRAKE])], -RATIO)
-    assert [(line.order, line.amplitude, line.phase) for line in turned.lines] == [
-        (line.order, pytest.approx(line.amplitude), pytest.approx(line.phase)) for line in hidden.lines
-    ]
+    rows, expected = ([(one.order, one.amplitude, one.phase) for one in of.lines] for of in (turned, hidden))
+    np.testing.assert_allclose(rows, expected, rtol=1e-6)
 
 
 @pytest.mark.parametrize("seeds", [range(3), pytest.param(range(3, 60), marks=pytest.mark.slow)])
 def test_a_record_without_ripple_shows_none(seeds: range) -> None:
-    """The chance for each kind of line is 1e-3: of 60 records one would be a wonder."""
     for seed in seeds:
         seen = found([record(seed, duration=30.0)])
         assert (seen.found, seen.others) == ((), ()), seed
 
 
-@pytest.mark.slow
-def test_sizes_lie_in_their_intervals() -> None:
-    off = []
-    for seed in range(40):
-        for line in found([record(seed, [LOBES, BRAKE])]).found:
-            size = {200.0: LOBES.size, 100.0: BRAKE.size}[line.order]
-            off.append((line.amplitude - size) / line.std)
-    assert len(off) >= 78
-    assert np.mean(np.abs(off) < 2.0) > 0.9
-    assert abs(np.mean(off)) < 0.35
-
-
-def test_the_flexspline_s_own_teeth_are_told_from_the_circular_spline_s() -> None:
-    """Over more than half a turn of the output the two are a whole period apart."""
-    assert names(found([record(3, [Line(202.0, 0.2, 1.0)])])) == [(202.0, False)]
-
-
 def test_lines_of_another_ratio_are_seen_and_asked_about() -> None:
+    # The flexspline's own teeth: over more than half a turn both are a whole period apart.
+    assert names(found([record(3, [Line(202.0, 0.2, 1.0)])])) == [(202.0, False)]
     seen = found([record(3, [Line(240.0, 0.3, 1.0)])])
     assert names(seen) == []
     assert [line.order for line in seen.others] == [pytest.approx(240.0, abs=0.2)]
@@ -131,9 +113,6 @@ def test_what_cannot_be_judged_is_said(reach: slice, torque: float, said: str) -
         found([OneAngle(made.time, made.angle, made.speed, torque * made.torque)], reach=reach)
 
 
-# Verbs ---
-
-
 def bag(path: Path, made: OneAngle, effort: bool = True) -> Path:
     torque = (made.torque,) if effort else None
     return write(path, states(made.time, ("joint_1",), (made.angle,), torque, (made.speed,)))
@@ -161,10 +140,8 @@ def test_tables_and_mapped_signals_serve_as_well(one_angle: Path, tmp_path: Path
     made, told = record(3, [LOBES, BRAKE]), list[str]()
     degrees = {"t": made.time, "q": np.degrees(made.angle), "i": made.torque / 11.2 * 1e3}
     motor = {"t": made.time, "m": RATIO * made.angle, "tau": made.torque}
-    for given, columns in (
-        (degrees, "time=t,output=q[deg],torque=i[mA]*11.2"),
-        (motor, "time=t,input=m,torque=tau"),
-    ):
+    tables = (degrees, "time=t,output=q[deg],torque=i[mA]*11.2"), (motor, "time=t,input=m,torque=tau")
+    for given, columns in tables:
         path = write_table(tmp_path / "r.csv", given)
         done = hd_diag("ripple", path, "--columns", columns, "--json", "-")
         assert (done.exit_code, done.stderr) == (0, ASSUMED)
@@ -181,7 +158,7 @@ def test_the_report_has_the_ripple(one_angle: Path, tmp_path: Path) -> None:
     done = hd_diag("report", one_angle, "--out", tmp_path / "r.html", "--json", tmp_path / "r.json")
     assert (done.exit_code, done.stderr) == (0, ASSUMED)
     told = json.loads((tmp_path / "r.json").read_text())
-    assert "hd-diag ripple" in told["error"]
+    assert "what the torque shows: hd-diag ripple" in told["error"]
     assert [line["order"] for line in told["ripple"]["lines"] if line["found"]] == [100.0, 200.0]
     page = (tmp_path / "r.html").read_text()
     assert "<h3>Ripple of the torque</h3>" in page
@@ -197,13 +174,6 @@ def test_one_angle_and_nothing_else_is_one_line(verb: str, tmp_path: Path) -> No
     assert_one_line_error(hd_diag(verb, path, *out), *parts)
 
 
-def test_diagnose_names_what_else_there_is(one_angle: Path) -> None:
-    assert_one_line_error(hd_diag("diagnose", one_angle), "what the torque shows: hd-diag ripple")
-
-
-# Fleet ---
-
-
 def test_a_fleet_keeps_the_ripple(one_angle: Path, tmp_path: Path) -> None:
     done = hd_diag("fleet", one_angle, "--jobs", "1", "--out", tmp_path / "f.parquet")
     assert done.exit_code == 0
@@ -215,19 +185,12 @@ def test_a_fleet_keeps_the_ripple(one_angle: Path, tmp_path: Path) -> None:
 
 
 def test_a_ripple_makes_a_series_where_it_was_seen_once() -> None:
-    rows = [
-        {
-            "bag": f"{day}.mcap",
-            "start": fleet_tasks.BEGIN + day * fleet_tasks.DAY,
-            "joint": "joint_1",
-            "ripple_orders": [200.0, 400.0],
-            "ripple_reverses": [False, True],
-            "ripple_amplitudes_Nm": [0.1 * day, 0.01],
-            "ripple_stds_Nm": [0.02, 0.02],
-            "ripple_found": [day > 1, False],
-        }
-        for day in range(3)
-    ]
+    lines = {"orders": [200.0, 400.0], "reverses": [False, True], "stds_Nm": [0.02, 0.02]}
+    rows = []
+    for day in range(3):
+        seen = lines | {"amplitudes_Nm": [0.1 * day, 0.01], "found": [day > 1, False]}
+        row = {"bag": f"{day}.mcap", "joint": "joint_1", "start": fleet_tasks.BEGIN + day * fleet_tasks.DAY}
+        rows.append(row | {f"ripple_{name}": values for name, values in seen.items()})
     (series,) = series_of(rows, {("joint_1", "ripple_200"): 0.5})
     assert (series.quantity, series.unit, series.limit) == ("ripple_200", "N m", 0.5)
     assert series.value == pytest.approx([0.0, 0.1, 0.2])

@@ -1,6 +1,7 @@
 """Sections along the width: coning, tilt, and the laws that they keep."""
 
 from dataclasses import replace
+from typing import Any
 
 import drives
 import numpy as np
@@ -21,15 +22,9 @@ WIDTH = published.FACE_WIDTH
 TORQUES = np.array(published.SECTION_TORQUES)
 
 
-def wide(
-    cup_length: float = 0.0,
-    eccentricity: complex = 0.0,
-    tilt: complex = 0.0,
-    sections: int = 5,
-    **more: complex,
-) -> Mesh:
-    geometry = drives.geometry(face_width=WIDTH, cup_length=cup_length, sections=sections)
-    return Mesh(geometry, 1e-6, eccentricity, tilt=tilt, **more)  # type: ignore[arg-type]
+def wide(cup: float = 0, eccentricity: complex = 0, tilt: Any = 0, sections: int = 5, **more: Any) -> Mesh:
+    geometry = drives.geometry(face_width=WIDTH, cup_length=cup, sections=sections)
+    return Mesh(geometry, 1e-6, eccentricity, tilt=tilt, **more)
 
 
 ASTRAY = wide(0.04, 4e-6 - 7e-6j, 0.5e-3 + 0.8e-3j, runout=2e-6 + 1e-6j, arc_offset=3e-6)
@@ -71,21 +66,15 @@ def test_against_polylines_of_every_section(cup_length: float) -> None:
     assert_allclose(state.torsion[0], expected_beta, rtol=2e-4)
 
 
-# Laws ---
-
-
 def test_one_section_is_the_plane_drive_to_the_last_bit() -> None:
-    turn, torque = np.linspace(0, 6, 40), np.linspace(-50, 80, 40)
-    given = {"eccentricity": (3e-6, -8e-6), "runout": (2e-6, 1e-6), "arc_offset": 4e-6}
-    plane = drives.mesh(**given)  # type: ignore[arg-type]
-    geometry = drives.geometry(face_width=WIDTH, cup_length=0.04)
-    one = replace(plane, geometry=geometry)
-    assert_array_equal(torsion(one, turn, torque), torsion(plane, turn, torque))
-    for found, expected in zip(
-        torsion_and_gradient(one, turn, torque), torsion_and_gradient(plane, turn, torque), strict=True
-    ):
+    moments = np.linspace(0, 6, 40), np.linspace(-50, 80, 40)
+    plane = drives.mesh(eccentricity=(3e-6, -8e-6), runout=(2e-6, 1e-6), arc_offset=4e-6)
+    one = replace(plane, geometry=drives.geometry(face_width=WIDTH, cup_length=0.04))
+    assert_array_equal(torsion(one, *moments), torsion(plane, *moments))
+    both = (torsion_and_gradient(mesh, *moments) for mesh in (one, plane))
+    for found, expected in zip(*both, strict=True):
         assert_array_equal(found, expected)
-    found, expected = mesh_state(one, turn, torque), mesh_state(plane, turn, torque)
+    found, expected = mesh_state(one, *moments), mesh_state(plane, *moments)
     assert_array_equal(found.load, expected.load)
     assert_array_equal(found.section_load[:, 0], expected.load)
 
@@ -110,13 +99,8 @@ def test_a_long_cup_is_a_ring() -> None:
 def test_mirrored_and_turned(turn: float, torque: float) -> None:
     own, load = np.array([turn]), np.array([torque])
     beta = torsion(ASTRAY, own, load)
-    mirrored = replace(
-        ASTRAY,
-        eccentricity=ASTRAY.eccentricity.conjugate(),
-        runout=ASTRAY.runout.conjugate(),
-        tilt=ASTRAY.tilt.conjugate(),
-        arc_offset=-ASTRAY.arc_offset,
-    )
+    other = {name: getattr(ASTRAY, name).conjugate() for name in ("eccentricity", "runout", "tilt")}
+    mirrored = replace(ASTRAY, **other, arc_offset=-ASTRAY.arc_offset)
     assert_allclose(torsion(mirrored, -own, -load), -beta, rtol=1e-9)
     # By a slot's pitch, with everything that stands in the housing, the drive is the same.
     pitch = ASTRAY.geometry.slot_pitch
@@ -130,8 +114,8 @@ def test_mirrored_and_turned(turn: float, torque: float) -> None:
 def test_a_tilt_of_a_ring_has_no_side_and_of_a_cup_has_one() -> None:
     turn, torque = np.linspace(0, 3, 20), np.full(20, 5.0)
 
-    def both(cup_length: float) -> tuple[np.ndarray, np.ndarray]:
-        return tuple(torsion(wide(cup_length, 8e-6j, side * 1e-3j), turn, torque) for side in (1, -1))  # type: ignore[return-value]
+    def both(cup: float) -> list[np.ndarray]:
+        return [torsion(wide(cup, 8e-6j, side * 1e-3j), turn, torque) for side in (1, -1)]
 
     assert_allclose(*both(0.0), rtol=1e-12)
     assert np.abs(np.subtract(*both(0.04))).max() > 1e-5
@@ -158,10 +142,8 @@ def test_what_coning_presses_as_built_is_no_interference() -> None:
     assert not rest.interference.any()
     assert mesh_state(wide(0.04, 10e-6), turn, 0.0).interference.any()
     for e in (0.0, 2e-6, 5e-6):
-        plane, ring = (
-            mesh_state(drives.mesh(eccentricity=(e, 0.0)), turn, 0.0),
-            mesh_state(wide(0.0, e), turn, 0.0),
-        )
+        both = drives.mesh(eccentricity=(e, 0.0)), wide(0.0, e)
+        plane, ring = (mesh_state(mesh, turn, 0.0) for mesh in both)
         assert_array_equal(plane.interference, plane.overlap > 0.0)
         assert_array_equal(ring.interference, plane.interference)
 
@@ -171,19 +153,12 @@ def test_derivatives_by_displacement_and_tilt(torque: float) -> None:
     turn, load = np.linspace(0.01, 6, 40), np.full(40, torque)
     beta, gradient = torsion_and_gradient(ASTRAY, turn, load)
     assert_array_equal(beta, torsion(ASTRAY, turn, load))
-    changes = {
-        0: ("eccentricity", 1e-9),
-        1: ("eccentricity", 1e-9j),
-        5: ("tilt", 1e-7),
-        6: ("tilt", 1e-7j),
-    }
-    for column, (name, step) in changes.items():
-        ends = [
-            torsion(replace(ASTRAY, **{name: getattr(ASTRAY, name) + s * step}), turn, load) for s in (1, -1)
-        ]
-        slope = (ends[0] - ends[1]) / (2 * abs(step))
-        size = np.abs(slope).max()
-        assert np.median(np.abs(gradient[:, column] - slope)) < 1e-4 * size
+    steps = {0: 1e-9, 1: 1e-9j, 5: 1e-7, 6: 1e-7j}
+    for column, step in steps.items():
+        name = "eccentricity" if column < 2 else "tilt"
+        above, below = (replace(ASTRAY, **{name: getattr(ASTRAY, name) + s}) for s in (step, -step))
+        slope = (torsion(above, turn, load) - torsion(below, turn, load)) / (2 * abs(step))
+        assert np.median(np.abs(gradient[:, column] - slope)) < 1e-4 * np.abs(slope).max()
     turn, load = np.linspace(0.01, 6, 400), np.full(400, torque)
     found = np.column_stack(torsion_along(ASTRAY, turn, load, 2))
     exact = np.column_stack(torsion_and_gradient(ASTRAY, turn, load))

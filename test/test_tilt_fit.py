@@ -11,9 +11,9 @@ from challenge.truth import NOMINAL
 from joint_records import NOISE, RATIO, joint
 from reference import polyline
 
-from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
+from hd_diag.diagnosis.diagnosis import diagnose
 from hd_diag.diagnosis.fit import fit_parameters
-from hd_diag.diagnosis.fit.refit import FEW_STARTS, Refit, refit
+from hd_diag.diagnosis.fit.refit import FEW_STARTS, refit
 from hd_diag.diagnosis.judgement import Answer
 from hd_diag.diagnosis.record import Record, prepare
 from hd_diag.diagnosis.verdict import as_json, sentence
@@ -25,7 +25,6 @@ ECCENTRICITY, TILT = 7e-6 * np.exp(0.9j), 1.1e-3 * np.exp(2.3j)
 
 
 def configured(cup_length: float = 0.0) -> Drive:
-    """A drive as it should be, in three sections."""
     return joint(face_width=WIDTH, cup_length=cup_length, sections=3).drive
 
 
@@ -55,29 +54,15 @@ def recorded(tilt: complex, cup_length: float = 0.0, rate: float = 60.0, loaded:
     return prepare(time, angle, output, torque, None, np.zeros(time.size, np.int64), RATIO)
 
 
-def true(drive: Drive, tilt: complex) -> np.ndarray:
-    """Parameters of the drive that was recorded."""
-    mesh = dataclasses.replace(drive.mesh, eccentricity=ECCENTRICITY, tilt=tilt)
-    return fit_parameters.vector(dataclasses.replace(drive, mesh=mesh), drive)
-
-
-def away(found: Refit, wanted: np.ndarray, drive: Drive) -> np.ndarray:
-    """How far parameters are from those wanted, whichever lobe is first."""
-    ways = [found.parameters - one for one in fit_parameters.alike(wanted, drive)]
-    return min(ways, key=lambda off: float(off @ off))
-
-
-def diagnosed(record: Record, drive: Drive) -> Diagnosis:
-    return diagnose(record, drive, np.random.default_rng(0))
-
-
 def test_a_tilt_is_found_beside_an_eccentricity() -> None:
-    """Once, without a search for causes."""
     drive = configured()
     record = recorded(TILT, rate=20.0)
     found = refit(record, drive, np.random.default_rng(0), starts=FEW_STARTS)
+    mesh = dataclasses.replace(drive.mesh, eccentricity=ECCENTRICITY, tilt=TILT)
+    true = fit_parameters.vector(dataclasses.replace(drive, mesh=mesh), drive)
+    off = np.array([found.parameters - one for one in fit_parameters.alike(true, drive)])
     most = [1.0, 1.0, 2.0, 1.0, 3.0, 2.0, 0.5, 2.0, 3.0]  # a search, whose model is as good as needs be
-    assert np.all(np.abs(away(found, true(drive, TILT), drive)) < most)
+    assert np.any(np.all(np.abs(off) < most, axis=1))
     assert found.trustworthy  # a ring that leans the other way is the same
 
 
@@ -86,7 +71,8 @@ def test_a_tilt_is_found_beside_an_eccentricity() -> None:
 def test_a_diagnosis_gives_the_tilt(cup_length: float, side: float) -> None:
     """Of a cup a tilt to the other side is another drive, and is told apart."""
     drive = configured(cup_length)
-    found = diagnosed(recorded(side * TILT, cup_length, rate=120.0), drive)  # half of it leaves a tilt open
+    record = recorded(side * TILT, cup_length, rate=120.0)  # half of it leaves a tilt open
+    found = diagnose(record, drive, np.random.default_rng(0))
     answer, told = Answer(found), as_json(found, "joint_1")["refit"]["parameters"]
     assert [change.name for change in answer.changes] == ["eccentricity", "tilt"]
     assert not found.causes
@@ -103,14 +89,6 @@ def test_a_diagnosis_gives_the_tilt(cup_length: float, side: float) -> None:
 @pytest.mark.slow
 def test_a_tilt_that_a_record_does_not_show_has_a_bound() -> None:
     """Under more than a quarter of the rated torque the sections' teeth all bear."""
-    found = diagnosed(recorded(TILT, loaded=True), configured())
+    found = diagnose(recorded(TILT, loaded=True), configured(), np.random.default_rng(0))
     assert abs(TILT) < found.kept["tilt"] < 5e-3
     assert "tilt" not in {change.name for change in Answer(found).changes}
-
-
-def test_a_drive_of_one_section_has_no_tilt() -> None:
-    plane = joint().drive
-    point = fit_parameters.vector(plane, plane)
-    assert (point.size, fit_parameters.vector(configured(), configured()).size) == (7, 9)
-    assert "tilt" not in fit_parameters.groups(plane)
-    assert not [name for name in fit_parameters.physical(point, np.eye(7), plane) if "tilt" in name]

@@ -23,7 +23,6 @@ NUMBER = 77
 
 @pytest.fixture(scope="module")
 def signals() -> Signals:
-    """Moments of any angle and torque; only the contact counts."""
     rng = np.random.default_rng(0)
     angle, torque = rng.uniform(-300.0, 300.0, 3000), rng.uniform(-60.0, 60.0, 3000)
     time, none, run = np.arange(3000.0), np.zeros(3000), np.zeros(3000, dtype=np.int64)
@@ -46,7 +45,6 @@ def rms(values: np.ndarray) -> float:
 @pytest.mark.parametrize("clearance", [2e-6, 1e-5, 4e-5, 1.6e-4])
 @pytest.mark.parametrize("flank", [0, 1])
 def test_a_worn_slot_is_the_contact_solved_with_it(signals: Signals, clearance: float, flank: int) -> None:
-    """To two per cent, where the first order is wrong by a third and more."""
     opened = np.zeros((2, 202))
     opened[flank, NUMBER] = clearance
     expected = signals.contact.displaced(clearance=opened)

@@ -9,7 +9,6 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from reference import polyline
 
-from hd_diag.model import kernel
 from hd_diag.model.mesh import Mesh
 from hd_diag.model.torsion import torsion, torsion_table
 from hd_diag.model.torsion_map import TOLERANCE, BuildCancelled, TorsionMap, build
@@ -19,13 +18,11 @@ Array = polyline.Array
 
 @pytest.fixture(scope="module")
 def astray() -> TorsionMap:
-    """The paper's drive with every displacement, in preload over part of the turn."""
     return build(drives.mesh(eccentricity=(4e-6, -13e-6), runout=(2e-6, 1e-6), arc_offset=3e-6), 112.0)
 
 
 @pytest.fixture(scope="module")
 def gap(paper_mesh: Mesh) -> TorsionMap:
-    """The paper's drive without errors: a true gap everywhere."""
     return build(paper_mesh, 60.0)
 
 
@@ -41,21 +38,21 @@ def points(table: TorsionMap, count: int, seed: int) -> tuple[Array, Array]:
 
 
 def test_error_is_bounded(table: TorsionMap) -> None:
-    angle, torque = points(table, 2000, 1)[0], np.append(np.sort(points(table, 24, 2)[1]), 0.0)
+    angle, torque = points(table, 2000, 1)[0], np.append(points(table, 24, 2)[1], 0.0)
     found = table(np.repeat(angle, torque.size), np.tile(torque, angle.size))
     error = np.abs(found - torsion_table(table.mesh, angle, torque).reshape(-1))
     assert error.max() <= table.error_bound
     assert error.max() > 0.2 * table.error_bound  # a bound that says something
     assert table.error_bound <= 4 * TOLERANCE
+    limit = table.torque_limit
+    angle = np.array([0.0, -0.0, -1e-20, 1e-300, 2 * np.pi, -2 * np.pi, np.nextafter(2 * np.pi, 0), 1e6])
+    for torque in np.array([0.0, -0.0, 1e-300, -1e-300, limit, -limit])[:, None] + 0.0 * angle:
+        assert np.abs(table(angle, torque) - torsion(table.mesh, angle, torque)).max() <= table.error_bound
 
 
-@pytest.mark.parametrize("name", ["astray", "gap", "coarse"])
-def test_bound_holds_at_zero_torque_in_the_middle_of_the_gap(
-    name: str, request: pytest.FixtureRequest
-) -> None:
+def test_bound_holds_in_the_middle_of_the_gap() -> None:
     """In coarse steps so few teeth pass that no other torque is met to the tolerance."""
-    coarse = name == "coarse"
-    table = build(drives.mesh(drives.COARSE), 6.0) if coarse else request.getfixturevalue(name)
+    table = build(drives.mesh(drives.COARSE), 6.0)
     angle, idle = np.linspace(-30, 30, 500), np.zeros(500)
     assert np.abs(table(angle, idle) - torsion(table.mesh, angle, idle)).max() <= table.error_bound
     assert_array_equal(table(angle, -idle), table(angle, idle))
@@ -72,17 +69,10 @@ def test_ends_below_the_torque_at_which_torsion_jumps(astray: TorsionMap, gap: T
         assert (step.max() > 20 * np.median(step)) == jumps
 
 
-def steps_of(table: TorsionMap) -> int:
-    return table.repeats * (table.torque.shape[0] - 1)
-
-
-def rounding(table: TorsionMap) -> float:
-    """Half a step of torsion [rad], and as much again for a breakpoint that was moved by half a step."""
-    return float(table.lines[:, 2].max())
-
-
 def test_exact_at_its_own_angles(table: TorsionMap) -> None:
-    steps, single = steps_of(table), rounding(table)
+    steps = table.repeats * (table.torque.shape[0] - 1)
+    # Half a step of torsion [rad], and as much again for a breakpoint that was moved by half a step.
+    single = float(table.lines[:, 2].max())
     assert single < 0.3 * TOLERANCE
     angle = 2 * np.pi / steps * np.arange(0, steps, 97)
     for torque in (-0.9 * table.torque_limit, -0.01, 0.3, table.torque_limit):
@@ -105,19 +95,8 @@ def test_nan_beyond_the_limit(table: TorsionMap) -> None:
     limit = table.torque_limit
     torque = np.array([limit, -limit, np.nextafter(limit, 999), -np.nextafter(limit, 999), np.nan, np.inf])
     assert_array_equal(np.isnan(table(np.zeros(6), torque)), [False, False, True, True, True, True])
-
-
-def test_the_bound_holds_at_ends_of_turns_and_torques(table: TorsionMap) -> None:
-    limit = table.torque_limit
-    torques = [0.0, -0.0, 1e-300, -1e-300, limit, -limit]
-    angles = [0.0, -0.0, -1e-20, 1e-300, 2 * np.pi, -2 * np.pi, np.nextafter(2 * np.pi, 0), 1e6]
-    turn, torque = np.array(np.meshgrid(angles, torques)).reshape(2, -1)
-    assert np.abs(table(turn, torque) - torsion(table.mesh, turn, torque)).max() <= table.error_bound
-
-
-def test_angles_and_torques_of_different_number(astray: TorsionMap) -> None:
     with pytest.raises(ValueError, match="3 wave generator angles, but 2 torques"):
-        astray(np.zeros(3), np.zeros(2))
+        table(np.zeros(3), np.zeros(2))
 
 
 @pytest.mark.parametrize("several", [1, 2])
@@ -145,19 +124,10 @@ def test_can_be_given_up(several: int) -> None:
         ({"arc_offset": 3e-6}, 1),
     ],
 )
-def test_what_repeats_within_a_turn_is_solved_and_kept_once(
-    displaced: dict[str, Any], repeats: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    solved, curves = [], kernel.entry.curves
-
-    def counted(data: Any, turn: Array, *others: Any) -> Any:
-        solved.append(turn.size)
-        return curves(data, turn, *others)
-
-    monkeypatch.setattr(kernel.entry, "curves", counted)
+def test_what_repeats_within_a_turn_is_kept_once(displaced: dict[str, Any], repeats: int) -> None:
     table = build(drives.mesh(**displaced), 20.0)
     assert table.repeats == repeats
-    assert sum(solved) == table.torque.shape[0] - 1 == 202 * 64 / repeats
+    assert table.torque.shape[0] - 1 == 202 * 64 / repeats
     assert table.error_bound <= 4 * TOLERANCE
     angle, torque = points(table, 2000, 5)
     assert np.abs(table(angle, torque) - torsion(table.mesh, angle, torque)).max() <= table.error_bound

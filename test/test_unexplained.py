@@ -27,8 +27,6 @@ def wave(order: float = ORDER, size: float = SIZE, frame: str = "input") -> Part
 
 
 def loaded(order: float = ORDER, size: float = 2.0 * SIZE) -> Part:
-    """In proportion to the torque, with its sign; `size` at the greatest."""
-
     def part(signals: Signals) -> np.ndarray:
         return wave(order, size)(signals) * signals.torque / np.abs(signals.torque).max()
 
@@ -71,9 +69,7 @@ def test_two_even_waves_the_stronger_first() -> None:
     waves = found(wave(ORDER, SIZE), wave(5.9, 2.0 * SIZE))
     assert [line.order for line in waves] == pytest.approx([5.9, ORDER], abs=0.02)
     assert [line.where for line in waves] == ["", ""]
-
-
-def test_noise_and_a_wave_smaller_than_is_of_use_are_not_reported() -> None:
+    # Noise, and a wave smaller than is of use.
     assert found() == found(wave(ORDER, 0.2 * ARCSEC)) == []
 
 

@@ -54,15 +54,9 @@ KEYS = {
 }
 
 
-def cause(
-    name: str,
-    amplitude: float = 4.0 * ARCSEC,
-    alike: tuple[str, ...] = (),
-    none: float = -20.0,
-    own: float | None = None,
-) -> Cause:
+def cause(name: str, size: float = 4.0, alike: tuple = (), none: float = -20.0, own: Any = None) -> Cause:
     """All of it its own, others a little less probable, and none in its place by so many log odds."""
-    effect = EFFECTS[name]
+    effect, amplitude = EFFECTS[name], size * ARCSEC
     values = {q.name: max(q.low, min(q.high, 1.0)) for q in effect.quantities}
     coefficients, nonlinear = effect.from_physical(values)
     covariance = np.diag((0.01 * coefficients) ** 2)
@@ -88,12 +82,22 @@ AT_BOUND = fit_parameters.admissible(np.array([1e3, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0
 LINE = Unexplained(3.37, "input", 2.0 * ARCSEC, "independent of torque", "the same in both directions")
 ROW = OrderRow(3.372, "input", (3.372, 0.0), np.array([2.0 * ARCSEC, 0.0]), np.eye(2) * 1e-14, True, ())
 TESTS = (
-    Detectability("resonance", False, float("nan"), "one speed only"),
+    Detectability("resonance", False, math.nan, "one speed only"),
     Detectability("hysteresis", True, 0.3 * ARCSEC, "tested"),
+    Detectability("thermal_drift", False, math.nan, "no heat"),
+    Detectability("stream_delay", False, math.nan, "one speed only"),
 )
-
-
 RECORD = prepared(columns(seconds=4.0))
+BY_CURRENT = dataclasses.replace(RECORD, by_current=True)
+
+
+def rms_of(*sizes: float, **more: float) -> Rms:
+    """In the order of its fields [arcsec]."""
+    return Rms(*(ARCSEC * size for size in sizes), **more)
+
+
+USUAL = rms_of(20.0, 5.0, 3.3, 3.3, 3.2, 3.4, 3.2, 3.1, 3.3)
+WORSE = rms_of(20.0, 5.0, 5.2, 5.2, 5.2, 5.3, 4.2, 4.1, 4.3)
 
 
 def found(*causes: Cause, table: tuple[OrderRow, ...] = (), functions: tuple[Function, ...] = ()) -> Any:
@@ -101,14 +105,13 @@ def found(*causes: Cause, table: tuple[OrderRow, ...] = (), functions: tuple[Fun
 
 
 def diagnosis(*causes: Cause, **changes: Any) -> Diagnosis:
-    rms = Rms(*(ARCSEC * v for v in (20.0, 5.0, 3.3, 3.3, 3.2, 3.4, 3.2, 3.1, 3.3)))
     made: dict[str, Any] = {
         "record": RECORD,
         "configured": CONFIGURED,
         "findings": (),
         "refitted": refitted(),
         "found": found(*causes),
-        "rms": rms,
+        "rms": USUAL,
         "gain": Gain(0.97, 0.96, 0.98, "3 of 12 runs"),
         "testable": TESTS,
     }
@@ -118,7 +121,7 @@ def diagnosis(*causes: Cause, **changes: Any) -> Diagnosis:
 ABOVE = "under positive torque"
 SIDED, TIME_LINE = dataclasses.replace(LINE, where=ABOVE), dataclasses.replace(LINE, frame="time", order=7.3)
 WRONG_RATIO = Finding("ratio_error", "the output follows at 101", 101.0, "-", True)
-SWAPPED = Finding("ratio_error", "the output does not follow", float("nan"), "-", True)
+SWAPPED = Finding("ratio_error", "the output does not follow", math.nan, "-", True)
 SKIP = Finding("tooth_skip", "a step of 6480 arcsec at 3.000 s: 1 tooth skipped", 0.0314, "rad", False)
 ENDED = {"refitted": None, "found": None, "rms": None, "gain": None, "testable": ()}
 DIAGNOSES = {
@@ -128,9 +131,7 @@ DIAGNOSES = {
     "swapped": diagnosis(findings=(SWAPPED,), **ENDED),
     "tooth skipped": diagnosis(cause("hysteresis"), findings=(SKIP,)),
     "ambiguous": diagnosis(refitted=refitted(AMBIGUOUS)),
-    "functions": diagnosis(
-        found=found(functions=tuple(map(function, (TORQUE, SPEED, PLACE, TIME, *ORDERS))))
-    ),
+    "functions": diagnosis(found=found(functions=[*map(function, (TORQUE, SPEED, PLACE, TIME, *ORDERS))])),
 }
 
 
@@ -172,13 +173,13 @@ def test_what_is_not_known_is_null() -> None:
 
 
 def test_numbers_are_si_and_those_of_the_diagnosis() -> None:
-    made = DIAGNOSES["every effect"]
+    made = dataclasses.replace(DIAGNOSES["every effect"], rms=dataclasses.replace(USUAL, slow=4.0, gear=1.1))
     told = as_json(made, "joint_1")
-    counts = {"samples": 800, "runs": 1, "has_torque": True, "outliers": 0, "dropped": 0}
-    counts |= {"refused": 0, "unpaired": 0, "clock_set_back": 0, "last_refusal": "", "problems": []}
-    counts |= {"stamps_zero": 0, "second_publisher": []}
+    assert told["misfit"] == {"slow": 4.0, "gear": 1.1}
+    counts = {"samples": 800, "runs": 1, "has_torque": True, "last_refusal": "", "problems": []}
+    none = ("outliers", "dropped", "refused", "unpaired", "clock_set_back", "stamps_zero")
     motion = {"duration": pytest.approx(3.995), "input_turns": pytest.approx(made.record.extent.input_turns)}
-    assert told["record"] == counts | motion
+    assert told["record"] == counts | motion | dict.fromkeys(none, 0) | {"second_publisher": []}
     assert told["nominal"]["rms"] == told["gain"]["rms_nominal"] == pytest.approx(20.0 * ARCSEC)
     assert told["refit"]["rms"] == told["gain"]["rms_refit"] == pytest.approx(5.0 * ARCSEC)
     assert told["extended"]["rms"] == told["gain"]["rms_extended"] == pytest.approx(3.3 * ARCSEC)
@@ -198,7 +199,7 @@ def test_findings_are_causes_first_of_all_and_every_effect_says_what_to_inspect(
 
 # Sentences ---
 
-ALIKE = cause("output_runout", 2.5 * ARCSEC, ("output_encoder_eccentricity",))
+ALIKE = cause("output_runout", 2.5, ("output_encoder_eccentricity",))
 
 
 @pytest.mark.parametrize(
@@ -206,49 +207,38 @@ ALIKE = cause("output_runout", 2.5 * ARCSEC, ("output_encoder_eccentricity",))
     [
         (
             diagnosis(),
-            "; the eccentricity is 18.2 ± 0.3 µm at 73.9 ± 0.9° (mod 180°) from the long axis, not 0.0 µm; "
-            "no other cause is needed.",
+            r".*; the eccentricity is 18.2 ± 0.3 µm at 73.9 ± 0.9° \(mod 180°\) from the long axis, "
+            "not 0.0 µm; no other cause is needed.",
         ),
         (
             diagnosis(refitted=refitted(eccentricity=0.4 + 0.0j)),
-            "; the eccentricity is as configured (0.0 µm), as far as this record tells: no more than "
-            "1.0 µm off; no other cause is needed.",
+            r".*; the eccentricity is as configured \(0.0 µm\), as .*: no more than 1.0 µm off; no other .*",
         ),
         (
             diagnosis(cause("hysteresis"), ALIKE),
-            "; beside that: hysteresis, 4.00 arcsec rms; output runout or output encoder eccentricity "
-            "(this record cannot tell which), 2.50 arcsec rms.",
+            ".*; beside that: hysteresis, 4.00 arcsec rms; output runout or output encoder eccentricity "
+            r"\(this record cannot tell which\), 2.50 arcsec rms.",
         ),
         (
             diagnosis(unexplained=(LINE, TIME_LINE)),
-            "; none of the known causes explains the rest; "
+            ".*; none of the known causes explains the rest; "
             "unexplained: 3.37 per input turn, 2.00 arcsec, 7.30 Hz, 2.00 arcsec.",
         ),
-        (
-            diagnosis(unexplained=(SIDED,)),
-            "unexplained: 3.37 per input turn under positive torque, 2.00 arcsec.",
-        ),
+        (diagnosis(unexplained=(SIDED,)), ".* 3.37 per input turn under positive torque, 2.00 arcsec."),
         (  # what the table of orders describes is not told twice
             diagnosis(found=found(table=(ROW,)), unexplained=(LINE, TIME_LINE)),
-            "unexplained: 7.30 Hz, 2.00 arcsec; described, not explained: "
-            "3.372 per input turn (2.00 arcsec).",
+            r".*unexplained: 7.30 Hz, 2.00 arcsec; described, .*: 3.372 per input turn \(2.00 arcsec\).",
         ),
         (DIAGNOSES["wrong ratio"], "First of all: the output follows at 101."),
         (
             diagnosis(findings=(dataclasses.replace(SWAPPED, text="are they swapped?"),), **ENDED),
-            "First of all: are they swapped?",
+            r"First of all: are they swapped\?",
         ),
-        (
-            DIAGNOSES["ambiguous"],
-            "; the model's parameters are not judged: several sets fit about as well; no other cause is "
-            "needed.",
-        ),
+        (DIAGNOSES["ambiguous"], ".*; the model's parameters are not judged: several sets fit .*"),
     ],
 )
 def test_the_sentence(made: Diagnosis, said: str) -> None:
-    """Its end; the whole of it where nothing comes before."""
-    assert sentence(Answer(made)).endswith(said)
-    assert said.startswith((";", "unexplained")) or sentence(Answer(made)) == said
+    assert re.fullmatch(said, sentence(Answer(made)))
 
 
 @pytest.mark.parametrize(
@@ -256,31 +246,20 @@ def test_the_sentence(made: Diagnosis, said: str) -> None:
     [
         (20e-6, "within", "its eccentricity is within the tolerance's limit (18.2 of 20.0 µm"),
         (10e-6, "beyond", "its eccentricity is beyond the tolerance's limit (18.2 of 10.0 µm"),
-        (
-            17.9e-6,
-            "near",
-            "whether its eccentricity is within the tolerance's limit "
-            "cannot be judged (18.2 ± 0.3 of 17.9 µm",
-        ),
+        (17.9e-6, "near", "within the tolerance's limit cannot be judged (18.2 ± 0.3 of 17.9 µm"),
     ],
 )
 def test_severity_comes_first(most: float, place: str, said: str) -> None:
     """Catalogue's accuracy, then what the assembly may have; before anything that was found."""
     made = diagnosis(cause("hysteresis"), allowed=Allowed(most, "peak_tooth_load"))
     first, _, _ = sentence(Answer(made)).partition(";")
-    assert re.fullmatch(
-        r"the joint is within its accuracy "
-        r"\(\d+ of 90 arcsec peak to peak over 0\.\d\d of an output turn\) and .*",
-        first,
-    )
+    assert re.match(r"the joint is within its accuracy \(\d+ of 90 arcsec .* 0\.\d\d of .*\) and ", first)
     assert first.endswith(f"{said}, by peak tooth load)")
     expected = {"eccentricity": pytest.approx(18.2e-6), "std": pytest.approx(3e-7), "allowed": most}
-    assert as_json(made, "joint_1")["tolerance"] == {
-        **expected,
-        "criterion": "peak_tooth_load",
-        "place": place,
-        "within": {"within": True, "beyond": False, "near": None}[place],
-    }
+    expected |= {"within": {"within": True, "beyond": False, "near": None}[place], "place": place}
+    assert as_json(made, "joint_1")["tolerance"] == expected | {"criterion": "peak_tooth_load"}
+    ambiguous = dataclasses.replace(made, refitted=refitted(AMBIGUOUS))
+    assert "tolerance's limit" not in sentence(Answer(ambiguous))
 
 
 def test_what_a_motor_s_current_costs_is_said() -> None:
@@ -291,29 +270,19 @@ def test_what_a_motor_s_current_costs_is_said() -> None:
     model = ExtendedModel(CONFIGURED, (Term(effect, tuple(coefficients), nonlinear),), 0.0, None)
     point = fit_parameters.vector(CONFIGURED, CONFIGURED) * np.array([1, 1, 1, 1, 1, 2.0, 1])
     stiff = dataclasses.replace(refitted(eccentricity=0j), parameters=point)
-    of_torque, of_current = (
-        diagnosis(
-            refitted=stiff,
-            record=dataclasses.replace(diagnosis().record, by_current=one),
-            model=model,
-            motor_std={"relative_error": 0.13, "friction": 0.7},
-        )
-        for one in (False, True)
-    )
+    given = {"refitted": stiff, "model": model, "motor_std": {"relative_error": 0.13, "friction": 0.7}}
+    of_torque, of_current = (diagnosis(record=record, **given) for record in (RECORD, BY_CURRENT))
     assert "tooth compliance +100" in sentence(Answer(of_torque))
     told = sentence(Answer(of_current))
     assert "compliance" not in told
-    assert (
-        "the torque is a motor's current: its constant (−12 ± 13 %), friction (4.8 ± 0.7 N m) and inertia"
-        in told
-    )
+    assert "a motor's current: its constant (−12 ± 13 %), friction (4.8 ± 0.7 N m) and inertia" in told
     motor = as_json(of_current, "joint_1")["motor_current"]
     assert motor["friction"] == {"value": pytest.approx(4.8), "std": 0.7, "unit": "N m"}
 
 
 def test_a_bound_is_not_told_of_a_model_that_does_not_describe_the_record() -> None:
     kept = {"refitted": refitted(eccentricity=0j), "kept": {"eccentricity": 3e-6}}
-    misfit = Rms(*(ARCSEC * v for v in (20.0, 20.0, 20.0, 20.0, 20.0, 20.0, 3.2, 3.1, 3.3)))
+    misfit = rms_of(*[20.0] * 6, 3.2, 3.1, 3.3)
     assert "this record tells: no more than 3.0 µm off" in sentence(Answer(diagnosis(**kept)))
     told = sentence(Answer(diagnosis(**kept, rms=misfit)))
     assert "as configured (0.0 µm), and how far off it may be cannot be determined;" in told
@@ -330,17 +299,10 @@ def test_scatter_of_the_encoders_zeros_is_told() -> None:
     assert as_json(diagnosis(encoder_zeros=zeros[:1]), "joint_1")["encoder_zeros"] is None
 
 
-def test_an_eccentricity_that_is_ambiguous_is_beside_no_limit() -> None:
-    made = diagnosis(refitted=refitted(AMBIGUOUS), allowed=Allowed(10e-6, "overlap"))
-    assert "tolerance's limit" not in sentence(Answer(made))
-
-
 def test_causes_that_predict_nothing_are_doubted() -> None:
-    worse = Rms(*(ARCSEC * v for v in (20.0, 5.0, 5.2, 5.2, 5.2, 5.3, 4.2, 4.1, 4.3)))
-    text = sentence(Answer(diagnosis(cause("hysteresis"), rms=worse)))
-    assert "predicted no better" in text
-    assert "(5.20 against 5.00 arcsec)" in text
-    for made in (diagnosis(rms=worse), diagnosis(cause("hysteresis"))):
+    text = sentence(Answer(diagnosis(cause("hysteresis"), rms=WORSE)))
+    assert re.search(r"predicted no better .*\(5.20 against 5.00 arcsec\)", text)
+    for made in (diagnosis(rms=WORSE), diagnosis(cause("hysteresis"))):
         assert "predicted" not in sentence(Answer(made))
 
 
@@ -356,8 +318,7 @@ def test_a_cause_that_another_explains_better_is_a_hint() -> None:
 
 def test_what_is_left_in_one_band_says_nothing_of_the_other() -> None:
     """A slow misfit weakens what is slow; without bands all is weakened, and beside noise alone nothing."""
-    sizes = (ARCSEC * v for v in (20.0, 9.0, 9.0, 9.0, 9.0, 9.0, 3.0, 2.9, 3.1))
-    rms = Rms(*sizes, beyond=4.0, gear=1.0)
+    rms = rms_of(20.0, *[9.0] * 5, 3.0, 2.9, 3.1, beyond=4.0, gear=1.0)
     assert (rms.overstated(0.0), rms.overstated(1.0)) == (1.0, 4.0)
     assert rms.overstated(0.5) == pytest.approx(math.sqrt(0.5 * (16.0 + 1.0)))
     assert dataclasses.replace(rms, beyond=0.5).overstated(1.0) == 1.0
@@ -367,10 +328,9 @@ def test_what_is_left_in_one_band_says_nothing_of_the_other() -> None:
 
 def test_causes_that_undo_each_other_as_the_model_runs_are_doubted() -> None:
     """What runs is then the gear with its parameters alone, though the fit itself leaves only noise."""
-    sizes = {"nominal": 20.0, "refit": 14.0, "named": 219.7, "extended": 219.7, "offline": 4.3, "live": 219.0}
-    noise = {"noise": 4.2, "noise_low": 4.1, "noise_high": 4.3}
-    ran = Rms(**{name: ARCSEC * value for name, value in (sizes | noise).items()})
+    ran = rms_of(20.0, 14.0, 219.7, 219.7, 4.3, 219.0, 4.2, 4.1, 4.3)
     alone = dataclasses.replace(ran, named=14.1 * ARCSEC, extended=14.1 * ARCSEC, live=14.2 * ARCSEC)
+    assert ran.offline == 4.3 * ARCSEC
     rms = ran.running(alone)
     assert rms.extended == alone.extended
     assert rms.offline == ran.offline
@@ -379,7 +339,7 @@ def test_causes_that_undo_each_other_as_the_model_runs_are_doubted() -> None:
 
 
 def test_the_lines_name_gain_and_what_was_not_testable() -> None:
-    made = diagnosis(cause("hysteresis", 40.0 * ARCSEC))
+    made = diagnosis(cause("hysteresis", 40.0))
     held_out, where, *rest = summary(made)[1 + len(sentences(Answer(made))) :]
     assert held_out == (
         "held-out residual (3 of 12 runs): nominal 20.00, refit 5.00, extended 3.30, noise 3.20 arcsec rms; "
@@ -388,17 +348,8 @@ def test_the_lines_name_gain_and_what_was_not_testable() -> None:
     assert where.startswith("direction: counter-clockwise from where the wave generator's long axis stands")
     assert rest == [
         f"inspect: {EFFECTS['hysteresis'].inspect}",
-        "not testable here: resonance: one speed only",
-    ]
-
-
-def test_what_lacks_for_the_same_reason_is_one_line() -> None:
-    tests = [
-        Detectability(name, False, float("nan"), why) for name, why in (("a_b", "x"), ("c", "y"), ("d", "x"))
-    ]
-    assert summary(diagnosis(testable=tests))[-2:] == [
-        "not testable here: a b, d: x",
-        "not testable here: c: y",
+        "not testable here: resonance, stream delay: one speed only",  # lacking for the same reason
+        "not testable here: thermal drift: no heat",
     ]
 
 
@@ -414,7 +365,7 @@ def test_what_is_not_named_is_not_absent() -> None:
     doubtful = diagnosis(cause("hysteresis", alike=("coulomb_windup",), none=-3.0)).undecided
     assert doubtful.keys() == NEVER | {"hysteresis", "coulomb_windup"}
     assert doubtful["hysteresis"] == doubtful["coulomb_windup"] == NOT_PROVED
-    worse = Rms(*(ARCSEC * v for v in (40.0, 25.0, 20.0, 20.0, 20.0, 20.0, 3.2, 3.1, 3.3)))
+    worse = rms_of(40.0, 25.0, *[20.0] * 4, 3.2, 3.1, 3.3)
     at_bound = dataclasses.replace(refitted(), parameters=AT_BOUND)
     for made in (diagnosis(rms=worse), diagnosis(refitted=at_bound)):
         assert made.undecided.keys() == EFFECTS.keys()
@@ -429,14 +380,10 @@ def test_what_parameters_and_remainders_describe_is_no_cause(name: str) -> None:
 
 
 def test_by_a_motor_s_current_what_the_motor_imitates_is_not_absent() -> None:
-    record = dataclasses.replace(diagnosis().record, by_current=True)
-    undecided = diagnosis(record=record).undecided
+    undecided = diagnosis(record=BY_CURRENT).undecided
     assert {"coulomb_windup", "torsional_hardening", "torque_sensor_ripple"} <= undecided.keys()
     assert not {"output_runout", "input_encoder_eccentricity"} & undecided.keys()
     assert diagnosis().undecided.keys() == NEVER
-
-
-# What is slow and unexplained ---
 
 
 @pytest.mark.parametrize(
@@ -450,10 +397,8 @@ def test_by_a_motor_s_current_what_the_motor_imitates_is_not_absent() -> None:
     ],
 )
 def test_what_is_larger_than_usual_is_said(effect: Remainder, said: str) -> None:
-    larger, usual, tiny = (
-        diagnosis(found=found(functions=(one,)))
-        for one in (function(effect), function(effect, larger=False), function(effect, 0.7 * ARCSEC))
-    )
+    sizes = function(effect), function(effect, larger=False), function(effect, 0.7 * ARCSEC)
+    larger, usual, tiny = (diagnosis(found=found(functions=(one,))) for one in sizes)
     assert sentence(Answer(larger)).endswith(f"; larger than usual, by no known cause: {said}.")
     assert Answer(larger).judgement == "described"
     for made in (usual, tiny):
@@ -469,15 +414,8 @@ def test_remainders_are_told_with_their_numbers_and_lines_stand_elsewhere() -> N
 
 
 def test_a_probability_and_its_rest_are_told() -> None:
-    """Of two causes alike and none in their place."""
     (told,) = as_json(diagnosis(cause("hysteresis", alike=("coulomb_windup",), none=-6.0)), "j")["causes"]
     causes, none = 1.0 + np.exp(-0.1), np.exp(-6.0)
     assert told["class"] == ["hysteresis", "coulomb_windup"]
     assert told["probability"] == pytest.approx(causes / (causes + none))
     assert told["p_value"] == pytest.approx(none / (causes + none))
-
-
-@pytest.mark.parametrize(("slow", "gear"), [(4.0, 1.1), (1.0, 1.0)])
-def test_a_misfit_is_told_by_bands(slow: float, gear: float) -> None:
-    rms = dataclasses.replace(diagnosis().rms, slow=slow, gear=gear)
-    assert as_json(diagnosis(rms=rms), "j")["misfit"] == {"slow": slow, "gear": gear}
