@@ -1,6 +1,9 @@
 """The command line run in this process, with stderr kept apart by every click that is supported."""
 
+import contextlib
 import inspect
+import resource
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -45,3 +48,14 @@ def config_file(folder: Path, **values: Any) -> Path:
     path = folder / "drive.yaml"
     path.write_text(dump(resolve({f"joint_1.{k.replace('__', '.')}": v for k, v in values.items()})))
     return path
+
+
+@contextlib.contextmanager
+def files_up_to(size: int) -> Iterator[None]:
+    """The system ends a write at this size of a file [byte], as a full disk does."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)

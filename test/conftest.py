@@ -192,3 +192,11 @@ def source_copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def paper_mesh() -> Mesh:
     """The paper's drive without errors of assembly."""
     return drives.mesh()
+
+
+@pytest.fixture
+def scratch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder for temporary files."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "scratch"))
+    (tmp_path / "scratch").mkdir()
+    return tmp_path / "scratch"

@@ -82,3 +82,9 @@ class Recording:
         for topic, _, received, rows in self.all:
             found.setdefault(topic, []).extend(zip(received.tolist(), map(bytes, rows), strict=True))
         return found
+
+
+def with_log(path: object, *joints: str, **own: Any) -> dict[str, Any]:
+    """Parameters of joints, twenty reports a second, and a log at a path; `own` are parameters of the log."""
+    log = {f"log.{name}": value for name, value in own.items()}
+    return {**parameters(*joints, diagnostics_rate=20.0), "log.path": str(path), **log}

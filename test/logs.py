@@ -1,6 +1,7 @@
 """Logs of a session without ROS, and what a log holds."""
 
 import itertools
+import tempfile
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from live import START, Recording
 from hd_diag.bag import BagReader, BagWriter
 from hd_diag.messages.publications import JOINT_STATE, TEMPERATURE, Encoded, resolved
 from hd_diag.replay.recorded_monitor import Session
+from hd_diag.replay.replay import replay
 
 
 class Log(Recording):
@@ -54,3 +56,20 @@ def content(bag: Path) -> dict[str, list[tuple[int, bytes]]]:
     for topic, _, data, time in messages_of(bag, grouped=True):
         found[topic].append((time, data))
     return dict(found)
+
+
+def whole(bag: Path) -> int:
+    """Number of messages of a bag in which nothing is wrong."""
+    with BagReader(bag) as reader:
+        assert not reader.problems
+        return reader.message_count
+
+
+def replayed(log: Path) -> dict[str, list[tuple[int, bytes]]]:
+    """Content of a log whose replay is the same to the last bit."""
+    with tempfile.TemporaryDirectory() as folder:
+        again = Path(folder) / "again.mcap"
+        replay(log, again)
+        found = content(log)
+        assert content(again) == found
+    return found

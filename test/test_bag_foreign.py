@@ -2,11 +2,10 @@
 
 import gzip
 import json
-import shutil
 import sqlite3
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -14,18 +13,16 @@ from typing import Any
 import faults
 import numpy as np
 import pytest
-from bag_samples import JOINT_STATE, peak_of, rows, write_with_mcap
+from bag_samples import JOINT_STATE, peak_of, rosbag2_folder, write_with_mcap
 from cli_runner import hd_diag
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from numpy.testing import assert_array_equal
 from rosbags.rosbag2 import Reader, StoragePlugin
-from rosbags.rosbag2 import Writer as RosbagsWriter
-from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 
 from hd_diag.bag import BagError, BagReader, recover
 from hd_diag.bag.typestore import store_of
-from hd_diag.config.configuration import JointConfig, resolve
+from hd_diag.config.configuration import resolve
 from hd_diag.messages.encoding import encode_joint_states
 from hd_diag.messages.schemas import Definition, deserialize, jazzy
 from hd_diag.records.joint_record import read_motion
@@ -38,6 +35,11 @@ POSITION = np.column_stack((ANGLE, ANGLE / 100.0))
 STATES = encode_joint_states(
     ("joint_1_motor", "joint_1"), STAMPS, POSITION, None, np.column_stack((0.0 * EFFORT, EFFORT))
 )
+Message = tuple[str, str, bytes, int]
+JOINTS = [
+    ("/joint_states", JOINT_STATE, row.tobytes(), int(now)) for row, now in zip(STATES, STAMPS, strict=True)
+]
+ONE = resolve({}).joints[0]
 BINARY = bytes(range(256))  # as a schema of protobuf is
 # Encoding of messages; encoding, name and text of the schema, if there is one; a message.
 FOREIGN: dict[str, tuple[str, tuple[str, str, bytes] | None, bytes]] = {
@@ -61,49 +63,46 @@ def mcap_with(path: Path, kind: str) -> Path:
         joints = writer.register_channel("/joint_states", "cdr", own)
         number = writer.register_schema(schema[1], schema[0], schema[2]) if schema else 0
         other = writer.register_channel("/cell", encoding, number)
-        for row, now in zip(STATES, STAMPS.tolist(), strict=True):
+        for _, _, row, now in JOINTS:
             writer.add_message(other, now, data, now)
-            writer.add_message(joints, now, row.tobytes(), now)
+            writer.add_message(joints, now, row, now)
         writer.finish()
     return path
+
+
+def database(folder: Path, *updates: str, given: Sequence[Message] = JOINTS) -> Path:
+    """A rosbag2 folder, its database changed afterwards by SQL."""
+    with closing(sqlite3.connect(rosbag2_folder(folder, given) / f"{folder.name}.db3")) as db:
+        for update in updates:
+            db.execute(update)
+        db.commit()
+    return folder
 
 
 def database_with(path: Path, kind: str) -> Path:
     """As rosbag2 has it: the format of a topic in its table."""
     encoding, schema, data = FOREIGN[kind]
-    shutil.rmtree(path, ignore_errors=True)
-    with RosbagsWriter(path, version=9) as writer:
-        joints = writer.add_connection("/joint_states", JOINT_STATE, typestore=jazzy())
-        other = writer.add_connection("/cell", "std_msgs/msg/String", typestore=jazzy())
-        for row, now in zip(STATES, STAMPS.tolist(), strict=True):
-            writer.write(other, now, data)
-            writer.write(joints, now, row.tobytes())
-    with closing(sqlite3.connect(path / f"{path.name}.db3")) as db:
-        name = schema[1] if schema else ""
-        db.execute(
-            "UPDATE topics SET serialization_format = ?, type = ? WHERE name = '/cell'", (encoding, name)
-        )
-        db.commit()
-    return path / f"{path.name}.db3"
+    given = [each for own in JOINTS for each in (("/cell", "std_msgs/msg/String", data, own[3]), own)]
+    own_format = f"serialization_format = '{encoding}', type = '{schema[1] if schema else ''}'"
+    return (
+        database(path, f"UPDATE topics SET {own_format} WHERE name = '/cell'", given=given)
+        / f"{path.name}.db3"
+    )
 
 
-def one_joint() -> JointConfig:
-    return resolve({}).joints[0]
-
-
-CASES = [(mcap_with, kind) for kind in FOREIGN] + [
-    (database_with, kind) for kind in FOREIGN if FOREIGN[kind][0] != "cdr"
-]
-
-
-@pytest.mark.parametrize(("write", "kind"), CASES)
-def test_what_cannot_be_read_is_listed_and_left_alone(
+@pytest.mark.parametrize(
+    ("write", "kind"),
+    [
+        *((mcap_with, kind) for kind in FOREIGN),
+        *((database_with, k) for k in FOREIGN if FOREIGN[k][0] != "cdr"),
+    ],
+)
+def test_what_cannot_be_read_is_listed_and_left_alone_and_copied(
     write: Callable[[Path, str], Path], kind: str, tmp_path: Path
 ) -> None:
     bag = write(tmp_path / "a.mcap", kind)
-    motion = read_motion([bag], one_joint())
-    assert motion is not None
-    assert motion.torque is not None
+    encoding, schema, data = FOREIGN[kind]
+    motion = read_motion([bag], ONE)
     np.testing.assert_allclose(motion.input_angle, ANGLE, atol=1e-12)
     np.testing.assert_allclose(motion.torque, EFFORT, atol=1e-12)
     told = hd_diag("topics", bag, "--json", tmp_path / "t.json")
@@ -111,31 +110,20 @@ def test_what_cannot_be_read_is_listed_and_left_alone(
     content = json.loads((tmp_path / "t.json").read_text())
     states, other = content["topics"]
     assert (states["messages"], other["messages"], states["problem"]) == (COUNT, COUNT, "")
-    assert other["problem"] == f"{FOREIGN[kind][0] if FOREIGN[kind][0] != 'cdr' else 'no schema'}: not read"
+    assert other["problem"] == f"{encoding if encoding != 'cdr' else 'no schema'}: not read"
     assert [joint["name"] for joint in content["joints"]] == ["joint_1"]
-
-
-@pytest.mark.parametrize(("write", "kind"), CASES)
-def test_recover_copies_what_it_cannot_read(
-    write: Callable[[Path, str], Path], kind: str, tmp_path: Path
-) -> None:
-    encoding, schema, data = FOREIGN[kind]
-    report = recover(write(tmp_path / "a.mcap", kind), tmp_path / "b.mcap")
-    assert report.complete
-    assert report.counts == {"/cell": COUNT, "/joint_states": COUNT}
+    report = recover(bag, tmp_path / "b.mcap")
+    assert (report.complete, report.counts) == (True, {"/cell": COUNT, "/joint_states": COUNT})
     with (tmp_path / "b.mcap").open("rb") as file:
-        every = [(s, c, m.data) for s, c, m in make_reader(file).iter_messages() if c.topic == "/cell"]
+        every = [(s, c, m.data) for s, c, m in make_reader(file).iter_messages(["/cell"])]
     assert {(c.message_encoding, bytes(d)) for _, c, d in every} == {(encoding, data)}
     if schema and write is mcap_with:
         assert {(s.encoding, s.name, s.data) for s, _, _ in every} == {schema}
 
 
 def test_a_signal_mapped_to_it_is_an_error_that_says_what_it_is(tmp_path: Path) -> None:
-    mapped = {
-        "joint_1.input.topic": "/cell",
-        "joint_1.input.type": "cell/Status",
-        "joint_1.input.field": "angle",
-    }
+    signal = {"topic": "/cell", "type": "cell/Status", "field": "angle"}
+    mapped = {f"joint_1.input.{name}": value for name, value in signal.items()}
     with pytest.raises(BagError, match="/cell for joint_1 is json: not read; it has /joint_states"):
         read_motion([mcap_with(tmp_path / "a.mcap", "json")], resolve(mapped).joints[0])
 
@@ -221,16 +209,11 @@ def test_parts_of_idl_are_the_types_that_messages_are() -> None:
 
 @pytest.mark.parametrize("plugin", list(StoragePlugin))
 def test_compressed_messages_need_no_metadata(plugin: StoragePlugin, tmp_path: Path) -> None:
-    block, stamps = rows(200)
-    writer = RosbagsWriter(tmp_path / "bag", version=9, storage_plugin=plugin)
-    writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
-    with writer:
-        topic = writer.add_connection("/j", JOINT_STATE, typestore=jazzy())
-        for row, now in zip(block, stamps.tolist(), strict=True):
-            writer.write(topic, now, row.tobytes())
-    with Reader(tmp_path / "bag") as other:
-        expected = [bytes(data) for _, _, data in other.messages()]
-    (file,) = (path for path in (tmp_path / "bag").iterdir() if path.suffix in (".mcap", ".db3"))
+    bag = rosbag2_folder(tmp_path / "bag", JOINTS, plugin=plugin, compression="message")
+    expected = [data for _, _, data, _ in JOINTS]
+    with Reader(bag) as other:
+        assert [bytes(data) for _, _, data in other.messages()] == expected
+    (file,) = (path for path in bag.iterdir() if path.suffix in (".mcap", ".db3"))
     assert recover(file, tmp_path / "whole.mcap").complete
     for path in (file, tmp_path / "whole.mcap"):
         with BagReader(path) as reader:
@@ -261,9 +244,7 @@ def test_a_file_that_is_no_bag_says_what_it_is(content: bytes, said: str, tmp_pa
     path.write_bytes(content)
     with pytest.raises(BagError, match=said):
         BagReader(path)
-
-
-def test_a_folder_with_a_bag_of_ros_1(tmp_path: Path) -> None:
+    path.unlink()
     (tmp_path / "run.bag").write_bytes(b"#ROSBAG V2.0\n")
     with pytest.raises(BagError, match=r"no \.mcap or \.db3 file; run\.bag is a ROS 1 bag"):
         BagReader(tmp_path)
@@ -272,25 +253,11 @@ def test_a_folder_with_a_bag_of_ros_1(tmp_path: Path) -> None:
 def test_a_replay_takes_what_it_needs(tmp_path: Path) -> None:
     (tmp_path / "one.yaml").write_text(faults.parameter_file(array_rate=0.0))
     for kind in ("json", "no schema"):
-        bag = mcap_with(tmp_path / "a.mcap", kind)
-        out = tmp_path / f"{kind}.mcap"
+        bag, out = mcap_with(tmp_path / "a.mcap", kind), tmp_path / f"{kind}.mcap"
         assert hd_diag("replay", bag, "--config", tmp_path / "one.yaml", "--out", out).exit_code == 0
         with BagReader(out) as reader:
             counts = {topic.name: topic.count for topic in reader.topics}
         assert counts["/joint_states"] == counts["/hd_diag/residual"] == COUNT
-
-
-def database_of(folder: Path, *updates: str, states: int = COUNT) -> Path:
-    """A rosbag2 folder of joint states, its database changed afterwards by SQL."""
-    with RosbagsWriter(folder, version=9) as writer:
-        joints = writer.add_connection("/joint_states", JOINT_STATE, typestore=jazzy())
-        for row, now in zip(STATES[:states], STAMPS[:states].tolist(), strict=True):
-            writer.write(joints, now, row.tobytes())
-    with closing(sqlite3.connect(folder / f"{folder.name}.db3")) as db:
-        for update in updates:
-            db.execute(update)
-        db.commit()
-    return folder
 
 
 PEAK_OF_READING = """
@@ -316,8 +283,8 @@ print(read(sys.argv[2]), recover(sys.argv[2], "saved.mcap").counts, peak() - bef
 @pytest.mark.parametrize("content", ["zeroblob(100000000)", "hex(zeroblob(50000000))"])
 def test_what_sqlite_takes_for_a_long_row_is_bounded_too(content: str, tmp_path: Path) -> None:
     """Of 100 MB, as BLOB and as text, of which it reads all to say how long it is."""
-    database_of(tmp_path / "plain")
-    database_of(tmp_path / "long", f"UPDATE messages SET data = {content} WHERE id = 150")
+    database(tmp_path / "plain")
+    database(tmp_path / "long", f"UPDATE messages SET data = {content} WHERE id = 150")
     code = [sys.executable, "-c", PEAK_OF_READING, "plain", "long", "/joint_states"]
     run = subprocess.run(code, cwd=tmp_path, capture_output=True, text=True, check=True)
     read, *counts, more = run.stdout.split()
@@ -327,22 +294,21 @@ def test_what_sqlite_takes_for_a_long_row_is_bounded_too(content: str, tmp_path:
 
 def test_a_definition_that_would_fill_the_memory_is_refused(tmp_path: Path) -> None:
     update = "UPDATE message_definitions SET encoded_message_definition = hex(zeroblob(20000000))"
-    result = hd_diag("topics", database_of(tmp_path / "bag", update, states=0))
+    result = hd_diag("topics", database(tmp_path / "bag", update, given=JOINTS[:1]))
     assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
     assert "string or blob too big" in result.stderr
 
 
 def test_a_row_that_would_fill_the_memory_is_refused_alone(tmp_path: Path) -> None:
     """Of 100 MB, beside rows that can be read; it is no message where it is decoded."""
-    bag = database_of(tmp_path / "bag", "UPDATE messages SET data = zeroblob(100000000) WHERE id = 150")
-    motion, peak = peak_of(lambda: read_motion([bag], one_joint()))
-    assert motion is not None
+    bag = database(tmp_path / "bag", "UPDATE messages SET data = zeroblob(100000000) WHERE id = 150")
+    motion, peak = peak_of(lambda: read_motion([bag], ONE))
     assert (motion.time.size, motion.stamps.refused) == (COUNT - 1, 1)
     assert peak < 60e6
 
 
 def test_a_row_that_was_too_long_is_told_with_its_size(tmp_path: Path) -> None:
     """Also in a topic of which nothing else can be read."""
-    bag = database_of(tmp_path / "bag", "UPDATE messages SET data = zeroblob(33554433)", states=1)
+    bag = database(tmp_path / "bag", "UPDATE messages SET data = zeroblob(33554433)", given=JOINTS[:1])
     told = hd_diag("topics", bag).output
     assert "has 33554433 bytes, more than the 33554432 that are read" in told

@@ -4,7 +4,6 @@ import os
 import sqlite3
 import struct
 import sys
-import tempfile
 from contextlib import closing
 
 import numpy as np
@@ -45,34 +44,22 @@ def expected(given):
     return [(t, time, d) for t, _, d, time in given]
 
 
-def test_whole_bag_is_copied(tmp_path):
-    path = write_with_mcap(tmp_path / "a.mcap", messages(), chunk_size=4000)
-    report = recover(path, tmp_path / "b.mcap")
-    assert read(tmp_path / "b.mcap") == expected(messages())
-    assert report.complete
-    assert report.counts == {"/j": 600}
-    assert (report.start, report.end) == (0, 599 * MS)
-    assert report.statement() == [
-        "saved 600 messages, the last at 0.599000000 s",
-        "  /j: 600",
-        "nothing is missing",
-    ]
-
-
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
 @pytest.mark.parametrize("indexes", [True, False])
 def test_every_closed_chunk_is_saved_wherever_the_file_ends(tmp_path, compression, indexes):
     options = {"compression": compression, "indexes": indexes, "chunk_size": 6000}
     path = write_with_mcap(tmp_path / "a.mcap", messages(300), **options)
-    with path.open("rb") as file:
-        closed = [(s.offset + s.size, s) for s in Scan(path, file).sections]
-    block = expected(messages(300))
+    sections, block = sections_of(path), expected(messages(300))
     for keep in range(1000, path.stat().st_size - 1000, 1777):
         report = recover(cut_end(path, tmp_path / "b.mcap", keep=keep), tmp_path / "c.mcap", overwrite=True)
         saved = read(tmp_path / "c.mcap") if report.counts else []
         assert saved == block[: len(saved)]
-        whole = [s.end for end, s in closed if end <= keep]
-        assert len(saved) * MS > max(whole, default=-1)
+        least = max((s.end for s in sections if s.offset + s.size <= keep), default=-1)
+        assert len(saved) * MS > least
+        with BagReader(tmp_path / "b.mcap") as reader:
+            times = [time for batch in reader.batches() for time in batch.log_time]
+        assert least < len(times) * MS <= len(saved) * MS
+        assert times == [time for _, time, _ in saved[: len(times)]]
         assert not report.complete
         lost, lines = report.files[0].unread, report.statement()
         assert not lost or f"b.mcap: {lost} of {keep} bytes could not be read" in lines
@@ -84,8 +71,7 @@ def test_part_of_the_open_chunk(tmp_path, compression):
     """Chunks are compressed in blocks: what precedes the cut by a block can be read."""
     given = messages(20_000)
     path = write_with_mcap(tmp_path / "a.mcap", given, compression=compression, chunk_size=8 << 20)
-    with path.open("rb") as file:
-        (section,) = Scan(path, file).sections
+    (section,) = sections_of(path)
     keep = section.offset + section.size * 6 // 10
     report = recover(cut_end(path, tmp_path / "b.mcap", keep=keep), tmp_path / "c.mcap")
     saved = read(tmp_path / "c.mcap")
@@ -94,21 +80,31 @@ def test_part_of_the_open_chunk(tmp_path, compression):
     assert any("cut off at byte" in p and str(len(saved)) in p for p in report.files[0].problems)
 
 
-def test_messages_that_the_file_counts_and_does_not_hold_are_lost(tmp_path):
-    path = write_with_mcap(tmp_path / "a.mcap", messages())
+def sections_of(path):
+    with path.open("rb") as file:
+        return Scan(path, file).sections
+
+
+def test_a_whole_bag_is_copied_and_what_it_counts_beside_is_lost(tmp_path):
+    path = write_with_mcap(tmp_path / "a.mcap", messages(), chunk_size=4000)
+    report = recover(path, tmp_path / "b.mcap")
+    assert read(tmp_path / "b.mcap") == expected(messages())
+    assert (report.complete, report.counts) == (True, {"/j": 600})
+    assert (report.start, report.end) == (0, 599 * MS)
+    told = ["saved 600 messages, the last at 0.599000000 s", "  /j: 600"]
+    assert report.statement() == [*told, "nothing is missing"]
     data = path.read_bytes()
     (summary,) = struct.unpack("<Q", data[-28:-20])
     counted = data[summary:].replace(struct.pack("<Q", 600), struct.pack("<Q", 607))
     path.write_bytes(sealed(data[:summary] + counted))
-    report = recover(path, tmp_path / "b.mcap")
+    report = recover(path, tmp_path / "b.mcap", overwrite=True)
     assert (report.counts, report.complete) == ({"/j": 600}, False)
     assert report.statement()[-1] == "a.mcap: at least 7 messages are lost"
 
 
 def test_damaged_chunk_costs_only_itself(tmp_path):
     path = write_with_mcap(tmp_path / "a.mcap", messages(), chunk_size=6000)
-    with path.open("rb") as file:
-        section = Scan(path, file).sections[3]
+    section = sections_of(path)[3]
     data = bytearray(path.read_bytes())
     data[section.offset + section.size // 2] ^= 0x10
     path.write_bytes(data)
@@ -126,13 +122,10 @@ def test_damaged_chunk_costs_only_itself(tmp_path):
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
 def test_chunks_behind_a_damaged_length_are_found(tmp_path, compression):
     path = write_with_mcap(tmp_path / "a.mcap", messages(), chunk_size=6000, compression=compression)
-    with path.open("rb") as file:
-        sections = Scan(path, file).sections
+    sections = sections_of(path)
     data = bytearray(path.read_bytes())
     head = sections[3].offset - len(sections[3].compression) - 49
     assert data[head] == 6
-    with path.open("rb") as file:
-        assert Scan(path, file).find_chunk(sections[2].offset) == head
     data[head + 1 : head + 9] = (2**60).to_bytes(8, "little")
     path.write_bytes(data)
     with BagReader(path) as reader:
@@ -144,22 +137,6 @@ def test_chunks_behind_a_damaged_length_are_found(tmp_path, compression):
     # Of the chunk itself an uncompressed or partly readable content may be saved as well.
     assert [m for m in saved if m in survivors] == survivors
     assert saved == [m for m in expected(messages()) if m in saved]
-
-
-def test_unfinished_split_in_a_folder(tmp_path):
-    block, stamps = rows(1000)
-    writer = BagWriter(tmp_path / "bag", max_duration=0.3, chunk_size=5000)
-    writer.write_many("/j", JOINT_STATE, block, stamps)
-    writer.flush()
-    snapshot = tmp_path / "copy"
-    snapshot.mkdir()
-    for path in (tmp_path / "bag").iterdir():
-        (snapshot / path.name).write_bytes(path.read_bytes())
-    writer.close()
-    report = recover(snapshot, tmp_path / "saved")
-    assert [bool(f.problems) for f in report.files] == [False, False, False, True]
-    assert [f.messages for f in report.files] == [300, 300, 300, 100]
-    assert [d for _, _, d in read(tmp_path / "saved")] == [row.tobytes() for row in block]
 
 
 def test_folder_with_damaged_metadata_and_a_file_that_is_no_bag(tmp_path):
@@ -174,37 +151,27 @@ def test_folder_with_damaged_metadata_and_a_file_that_is_no_bag(tmp_path):
     assert report.files[1].unread == 7
 
 
-def database(folder, count=2000):
-    """File with `count` messages as rosbag2 writes them, with its index of times."""
-    rosbag2_folder(folder, [("/n", STRING, string_cdr(f"{i:030}"), i) for i in range(count)])
-    return folder / f"{folder.name}.db3"
-
-
-def numbers_saved(path):
-    return [int(d[8:-1]) for _, _, d in read(path)]
+def changed_by(update, folder):
+    with closing(sqlite3.connect(folder / f"{folder.name}.db3")) as db:
+        db.execute(update)
+        db.commit()
+    return folder
 
 
 def test_messages_of_a_database_that_belong_to_no_topic(tmp_path):
-    """As those of an MCAP file: not saved, and not called whole."""
-    path = database(tmp_path / "bag", 50)
-    with closing(sqlite3.connect(path)) as db:
-        db.execute("UPDATE messages SET topic_id = 9")
-        db.commit()
-    report = recover(path, tmp_path / "saved.mcap")
+    bag = changed_by("UPDATE messages SET topic_id = 9", rosbag2_folder(tmp_path / "bag", messages(50)))
+    report = recover(bag / "bag.db3", tmp_path / "saved.mcap")
     assert (report.complete, report.out, report.files[0].lost) == (False, [], 50)
     assert report.files[0].problems == ["50 messages belong to no topic with a known definition"]
 
 
-def test_compressed_files_are_recovered(tmp_path, monkeypatch):
-    """A whole one, and what comes before a cut in an MCAP file."""
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "scratch"))
-    (tmp_path / "scratch").mkdir()
+def test_compressed_files_are_recovered(tmp_path, scratch):
     rosbag2_folder(tmp_path / "bag", [("/n", STRING, string_cdr("x"), 1)], compression="file")
     assert recover(tmp_path / "bag", tmp_path / "saved.mcap").counts == {"/n": 1}
     chance = np.random.default_rng(4)
     given = [("/n", STRING, string_cdr(chance.bytes(1000).hex()), i) for i in range(600)]
-    options = {"compression": "none", "chunk_size": 6000}
-    packed = zstandard.compress(write_with_mcap(tmp_path / "a.mcap", given, **options).read_bytes())
+    whole = write_with_mcap(tmp_path / "a.mcap", given, compression="none", chunk_size=6000)
+    packed = zstandard.compress(whole.read_bytes())
     (tmp_path / "b.mcap.zstd").write_bytes(packed[: len(packed) * 2 // 3])
     seen = []
     report = recover(tmp_path / "b.mcap.zstd", tmp_path / "c.mcap", progress=lambda *at: seen.append(at))
@@ -213,17 +180,16 @@ def test_compressed_files_are_recovered(tmp_path, monkeypatch):
     assert saved == expected(given)[: len(saved)]
     assert not report.complete
     assert all(done <= total for done, total in seen)
-    assert list((tmp_path / "scratch").iterdir()) == []
+    assert list(scratch.iterdir()) == []
 
 
 def test_a_compressed_message_that_is_damaged_costs_only_itself(tmp_path):
-    given = [("/n", STRING, string_cdr(f"{i:030}"), i) for i in range(20)]
-    rosbag2_folder(tmp_path / "bag", given, compression="message")
-    with closing(sqlite3.connect(tmp_path / "bag" / "bag.db3")) as db:
-        db.execute("UPDATE messages SET data = x'00112233' WHERE id IN (3, 7)")
-        db.commit()
-    report = recover(tmp_path / "bag", tmp_path / "saved.mcap")
-    assert numbers_saved(tmp_path / "saved.mcap") == [i for i in range(20) if i not in (2, 6)]
+    given = messages(20)
+    bag = rosbag2_folder(tmp_path / "bag", given, compression="message")
+    report = recover(
+        changed_by("UPDATE messages SET data = x'00112233' WHERE id IN (3, 7)", bag), tmp_path / "saved.mcap"
+    )
+    assert read(tmp_path / "saved.mcap") == expected(given[:2] + given[3:6] + given[7:])
     assert report.files[0].problems == ["2 compressed messages are damaged"]
     assert report.files[0].lost == 2
 
@@ -231,9 +197,9 @@ def test_a_compressed_message_that_is_damaged_costs_only_itself(tmp_path):
 def test_offers_times_and_unknown_types_are_kept(tmp_path):
     """Profiles in the numbers that were written before version 9 come out as names."""
     infinite = {"sec": 9223372036, "nsec": 854775807}
-    old = {"history": 1, "depth": 7, "reliability": 2, "durability": 1, "deadline": {"sec": 1, "nsec": 2}}
-    old |= {"lifespan": infinite, "liveliness": 1, "liveliness_lease_duration": infinite}
-    old["avoid_ros_namespace_conventions"] = False
+    same = {"depth": 7, "deadline": {"sec": 1, "nsec": 2}, "avoid_ros_namespace_conventions": False}
+    same |= {"lifespan": infinite, "liveliness_lease_duration": infinite}
+    old = same | {"history": 1, "reliability": 2, "durability": 1, "liveliness": 1}
     with (tmp_path / "a.mcap").open("wb") as file:
         writer = Writer(file)
         writer.start("ros2")
@@ -248,8 +214,7 @@ def test_offers_times_and_unknown_types_are_kept(tmp_path):
     assert topic.definition == Definition(topic.type_name, "float64 mass\n", "ros2msg", "RIHS01_" + "0" * 64)
     assert (batch.log_time.tolist(), batch.publish_time.tolist()) == ([3], [2])
     new = {"history": "keep_last", "reliability": "best_effort", "durability": "transient_local"}
-    new["liveliness"] = "automatic"
-    assert yaml.safe_load(topic.offers) == [old | new]
+    assert yaml.safe_load(topic.offers) == [same | new | {"liveliness": "automatic"}]
 
 
 @pytest.mark.parametrize("name", ["c.mcap", "c"])
@@ -278,10 +243,8 @@ def test_a_whole_bag_without_messages_stays_one(tmp_path):
 def test_messages_without_a_declared_topic_are_counted(tmp_path):
     """The chunk with the schemas is damaged, and there is no summary that repeats them."""
     path = write_with_mcap(tmp_path / "a.mcap", messages(), chunk_size=6000)
-    with path.open("rb") as file:
-        section = Scan(path, file).sections[0]
     data = bytearray(path.read_bytes())
-    data[section.offset + 20] ^= 1
+    data[sections_of(path)[0].offset + 20] ^= 1
     path.write_bytes(data)
     report = recover(cut_end(path, tmp_path / "b.mcap"), tmp_path / "c.mcap")
     assert report.counts == {}
@@ -397,17 +360,13 @@ def test_a_definition_that_cannot_be_understood_is_unverified(tmp_path):
     ]
 
 
-def image_cdr(size):
-    """A String as long as an image, which nothing compresses to a thousandth."""
-    return string_cdr(np.random.default_rng(size).integers(32, 96, size, np.uint8).tobytes().decode())
-
-
 LONG = 14 << 20  # [byte]
 
 
 @pytest.fixture(scope="module")
 def long_message():
-    return image_cdr(LONG)
+    """A String as long as an image, which nothing compresses to a thousandth."""
+    return string_cdr(np.random.default_rng(LONG).integers(32, 96, LONG, np.uint8).tobytes().decode())
 
 
 def with_long_messages(long, path, storage):
@@ -415,9 +374,7 @@ def with_long_messages(long, path, storage):
     given = messages(300)
     given[200:200] = [("/image", STRING, long, 199 * MS), ("/image", STRING, long, 200 * MS)]
     if storage in ("sqlite", "message"):
-        compression = storage.replace("sqlite", "none")
-        rosbag2_folder(path, [(t, k, d, time) for t, k, d, time in given], compression=compression)
-        return path, given
+        return rosbag2_folder(path, given, compression=storage.replace("sqlite", "none")), given
     chunk = 3 * LONG if storage == "together" else 4000
     kind = storage if storage in ("lz4", "none") else "zstd"
     options = {"compression": kind, "chunk_size": chunk, "chunked": storage != "no chunks"}
@@ -454,18 +411,11 @@ def test_a_disk_that_is_full_in_a_long_message(tmp_path, monkeypatch, long_messa
     with BagWriter(tmp_path / "a.mcap", compression="none", chunk_size=1 << 20) as writer:
         writer.write("/n", STRING, string_cdr("before"), 1)
         writer.flush()
-        size, left = (tmp_path / "a.mcap").stat().st_size, [LONG // 2]
-
-        def write(fd, data, inner=os.write):
-            left[0] -= len(data)
-            if left[0] < 0:
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-            return inner(fd, data)
-
-        monkeypatch.setattr(os, "write", write)
-        with pytest.raises(BagError, match="No space left"):
-            writer.write("/n", STRING, long_message, 2)
-        monkeypatch.undo()
+        size = (tmp_path / "a.mcap").stat().st_size
+        with monkeypatch.context() as patch:
+            full_after(size + LONG // 2, patch)
+            with pytest.raises(BagError, match="No space left"):
+                writer.write("/n", STRING, long_message, 2)
         assert (tmp_path / "a.mcap").stat().st_size == size
     assert recover(tmp_path / "a.mcap", tmp_path / "b.mcap").counts == {"/n": 1}
 

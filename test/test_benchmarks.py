@@ -7,11 +7,9 @@ import importlib.util
 import json
 import math
 import sys
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import drives
 import numpy as np
@@ -21,7 +19,7 @@ from challenge.contact import Gear
 from challenge.design import OTHERS, SIZE_25, Design
 from numpy.testing import assert_allclose
 
-from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
+from hd_diag.diagnosis.diagnosis import diagnose
 from hd_diag.diagnosis.work import Work
 from hd_diag.drive import Drive, mesh_state, transmission_error
 from hd_diag.formatting import ARCSEC
@@ -32,8 +30,6 @@ sys.path.append(str(BENCH))
 import paper_method  # noqa: E402
 import scoring  # noqa: E402
 
-Script = Callable[..., str]
-
 
 def loaded(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     """A script as a module; what it sets for its whole process is set back."""
@@ -41,8 +37,6 @@ def loaded(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
         monkeypatch.setenv(threads, "1")
     monkeypatch.setattr(sys, "path", [*sys.path])
     spec = importlib.util.spec_from_file_location(f"bench_{name}", BENCH / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     monkeypatch.setitem(sys.modules, spec.name, module)
     spec.loader.exec_module(module)
@@ -50,8 +44,7 @@ def loaded(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Script:
-    """Runs a script with these words; gives what it prints."""
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
 
     def run(script: ModuleType, *words: object) -> str:
         monkeypatch.setattr(sys, "argv", [script.__name__, *map(str, words)])
@@ -71,19 +64,16 @@ def test_torsion_backlash_and_force(turn: float, eccentricity: complex, torque: 
     mesh = drives.mesh(eccentricity=(complex(eccentricity).real, complex(eccentricity).imag))
     state = mesh_state(Drive(mesh, Kinematics(-100.0), 56.0), np.array([turn]), np.array([torque]))
     assert_allclose(beta, state.torsion[0], rtol=0, atol=1e-9)
-    found = np.full((2, 2, 200), np.nan)
-    found[1] = 0.0
-    for k, values in enumerate((backlash, force)):
+    gap = backlash, np.nan, state.backlash[0], 30.6e-12
+    for values, absent, expected, atol in (gap, (force, 0.0, state.load[0], 1e-4)):
+        found = np.full((2, 200), absent)
         for (tooth, side), value in values.items():
-            found[k, 0 if side > 0 else 1, tooth] = value
-    assert_allclose(found[0] / 30.6e-3, state.backlash[0] / 30.6e-3, rtol=0, atol=1e-9)
-    assert_allclose(found[1], state.load[0], rtol=0, atol=1e-4)
-    assert np.isfinite(found[0]).sum() > 100
+            found[0 if side > 0 else 1, tooth] = value
+        assert_allclose(found, expected, rtol=0, atol=atol)
+    assert len(backlash) > 100
 
 
 MOMENTS_EACH = 12  # of a design; each takes the reference some 0.1 s
-
-
 EACH = [SIZE_25, OTHERS[0], *(pytest.param(design, marks=pytest.mark.slow) for design in OTHERS[1:])]
 
 
@@ -96,7 +86,7 @@ def test_both_sides_mean_the_same_drive(design: Design) -> None:
     assert_allclose(transmission_error(scoring.drive(base), angle, torque), forced, atol=0.05 * ARCSEC)
 
 
-def test_suite_measures_and_tells(run: Script, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_suite_measures_and_tells(run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """One short section: its table on stdout, its figures as JSON; what meets an aim."""
     suite, file = loaded("suite", monkeypatch), tmp_path / "results.json"
     told = run(suite, "--only", "tolerance", "--json", file)
@@ -106,24 +96,16 @@ def test_suite_measures_and_tells(run: Script, monkeypatch: pytest.MonkeyPatch, 
     for row in found["rows"]:
         assert row["value"] > 0.0
         assert row["what"] in told
-    for ratio, value, aim, unit, met in (
-        (600.0, 1.0, 500.0, "x", True),
-        (400.0, 1.0, 500.0, "x", False),
-        (None, 1.0, 2.0, "s", True),
-        (None, 3.0, 2.0, "s", False),
-        (9.0, 1.0, None, "", None),
-    ):
+    cases = [(600.0, 1.0, 500.0, "x", True), (400.0, 1.0, 500.0, "x", False), (9.0, 1.0, None, "", None)]
+    cases += [(None, 1.0, 2.0, "s", True), (None, 3.0, 2.0, "s", False)]
+    for ratio, value, aim, unit, met in cases:
         assert suite.Row("section", "what", value, "s", ratio, aim=aim, aim_unit=unit).met is met
 
 
 @pytest.mark.parametrize("seconds", [0.0, pytest.param(math.inf, marks=pytest.mark.slow)])
-def test_one_record(run: Script, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, seconds: float) -> None:
+def test_one_record(run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, seconds: float) -> None:
     """A spectrum's peaks beside it; the other methods where they are installed; seconds limit the search."""
-
-    def within(*given: Any) -> Diagnosis:
-        return diagnose(*given, Work(seconds))
-
-    monkeypatch.setattr(scoring, "diagnose", within)
+    monkeypatch.setattr(scoring, "diagnose", lambda *given: diagnose(*given, Work(seconds)))
     challenge, tables, figures = loaded("challenge", monkeypatch), tmp_path / "f.md", tmp_path / "f.json"
     monkeypatch.setattr(challenge, "ProcessPoolExecutor", lambda *_: ThreadPoolExecutor(1))
     one = ("--seeds", 1, "--families", "short", "--jobs", 1, "--first", 1)

@@ -33,7 +33,7 @@ def installed(folder: Path, value: str) -> None:
     """A package beside the example that declares an entry point."""
     shutil.copy(PINION, folder / "my_pinion.py")
     information = folder / "my_effects-1.0.dist-info"
-    information.mkdir()
+    information.mkdir(exist_ok=True)
     (information / "METADATA").write_text("Metadata-Version: 2.1\nName: my-effects\nVersion: 1.0\n")
     (information / "entry_points.txt").write_text(f"[{GROUP}]\none0 = {value}\n")
 
@@ -65,12 +65,9 @@ def test_a_file_that_cannot_be_used_is_named(tmp_path: Path, text: str, reason: 
         load([path])
     assert str(caught.value).startswith(f"{path}: {reason}")
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("name", ["none.py", "none.txt"])
-def test_a_file_that_is_not_there_is_named(tmp_path: Path, name: str) -> None:
-    with pytest.raises(ConfigError, match=rf"{name}: (cannot be loaded: FileNotFoundError|no Python file)"):
-        load([tmp_path / name])
+    for name, wrong in (("none.py", "cannot be loaded: FileNotFoundError"), ("none.txt", "no Python file")):
+        with pytest.raises(ConfigError, match=f"{name}: {wrong}"):
+            load([tmp_path / name])
 
 
 def test_installed_effects_are_in_the_catalogue(packages: Path) -> None:
@@ -79,10 +76,8 @@ def test_installed_effects_are_in_the_catalogue(packages: Path) -> None:
     assert load([]) == load()
     with pytest.raises(ConfigError, match="has an effect 'encoder_pinion' already"):
         load([PINION])
-
-
-def test_an_entry_point_that_cannot_be_loaded_is_named(packages: Path) -> None:
     installed(packages, "my_pinion:NOTHING")
+    catalogue._installed.cache_clear()
     with pytest.raises(ConfigError, match=r"^my-effects: one0: cannot be loaded: AttributeError: "):
         load()
 

@@ -20,20 +20,15 @@ QUICK = ("tolerance", "--samples", "12", "--sensitivity-samples", "2", "--jobs",
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], str]:
-    """JSON and text of one run, which draws a picture too."""
+def told(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """JSON of one run, which draws a picture too, and its text."""
     folder = tmp_path_factory.mktemp("tolerance")
     result = hd_diag(*QUICK, "--json", folder / "a.json", "--figure", folder / "a.png")
     assert (result.exit_code, result.stderr) == (0, ""), result.output
     picture = (folder / "a.png").read_bytes()
     assert picture.startswith(b"\x89PNG")
     assert len(picture) > 50_000
-    return json.loads((folder / "a.json").read_text()), result.stdout
-
-
-@pytest.fixture(scope="module")
-def told(whole: tuple[dict[str, Any], str]) -> dict[str, Any]:
-    return whole[0]
+    return json.loads((folder / "a.json").read_text()) | {"text": result.stdout}
 
 
 def test_json_holds_what_the_contract_says(told: dict[str, Any]) -> None:
@@ -56,16 +51,14 @@ def test_json_holds_what_the_contract_says(told: dict[str, Any]) -> None:
     assert tuple(told["sensitivity"]["criteria"]["overlap"]) == FACTORS
 
 
+FEW = "12 assemblies do not tell: 92.5 % are (80.0 to 97.4 %); draw more (--samples)."
+
+
 @pytest.mark.parametrize(
     ("share", "high", "at", "said"),
     [
         (0.9, 0.94, np.nan, "95 % of the assemblies are not within all limits even without eccentricity."),
-        (
-            0.925,
-            0.974,
-            np.nan,
-            "12 assemblies do not tell: 92.5 % are (80.0 to 97.4 %); draw more (--samples).",
-        ),
+        (0.925, 0.974, np.nan, FEW),
         (0.97, 0.99, 3e-6, "up to a tolerance of 3.00 µm"),
     ],
 )
@@ -91,10 +84,10 @@ def test_numbers_of_the_json_are_the_paper_s_and_the_mesh_s(told: dict[str, Any]
     assert state.peak_load[0] == pytest.approx(60.0, rel=1e-6)
 
 
-def test_text_has_units_resolution_and_every_criterion(whole: tuple[dict[str, Any], str]) -> None:
+def test_text_has_units_resolution_and_every_criterion(told: dict[str, Any]) -> None:
     units = ("[µm]", "[rad]", "[deg]", "transmission_error [arcsec]", "peak_tooth_load [N]")
-    assert [part for part in (*units, "Resolution", *NAMES) if part not in whole[1]] == []
-    tables = [line for line in whole[1].splitlines() if not line.endswith(".")]  # sentences are not broken
+    assert [part for part in (*units, "Resolution", *NAMES) if part not in told["text"]] == []
+    tables = [line for line in told["text"].splitlines() if not line.endswith(".")]  # sentences are whole
     assert max(map(len, tables)) <= 90  # the widest is what its columns need
 
 
@@ -132,18 +125,20 @@ def test_a_drive_in_sections_has_limits_of_its_tilt_and_a_chart(coarse: None, tm
     tilt = json.loads(file.read_text())["tilt"]
     arm = 11e-3 / 2 / np.sqrt(3.0)  # of two Gauss-Legendre points
     assert tilt["largest_tilt"] == pytest.approx(1e-6 / arm)
-    (row,) = tilt["limits"]
-    assert tuple(row["criteria"]) == NAMES
-    assert row["criteria"]["overlap"]["tilt"] == 0.0
-    assert row["criteria"]["peak_tooth_load"]["tilt"] is None
-    assert row["criteria"]["overlap"]["curve"]["tilt"][-1] == pytest.approx(tilt["largest_tilt"])
+    (criteria,) = (row["criteria"] for row in tilt["limits"])
+    assert tuple(criteria) == NAMES
+    assert (criteria["overlap"]["tilt"], criteria["peak_tooth_load"]["tilt"]) == (0.0, None)
+    assert criteria["overlap"]["curve"]["tilt"][-1] == pytest.approx(tilt["largest_tilt"])
     assert tilt["allowed"] == {"tilt": 0.0, "criterion": "overlap"}
     assert set(tilt["chart"]["criteria"]) == set(CHARTED)
     assert set(tilt["chart"]["criteria"]["peak_tooth_load"]["tilt"]) == {None}
-    assert "As built, without eccentricity, teeth of the lobe at tooth 0 overlap by 2." in result.stdout
-    assert "Limits of a tilt alone at 56 N m" in result.stdout
-    assert "[mrad]" in result.stdout
-    assert "Allowed without eccentricity: 0.000 mrad, by overlap" in result.stdout
+    built = "As built, without eccentricity, teeth of the lobe at tooth 0 overlap by 2."
+    parts = (
+        "Limits of a tilt alone at 56 N m",
+        "[mrad]",
+        "Allowed without eccentricity: 0.000 mrad, by overlap",
+    )
+    assert [part for part in (built, *parts) if part not in result.stdout] == []
     assert "against it [mrad]" in svg.read_text()
 
 

@@ -19,13 +19,9 @@ def run(command: list[str], folder: Path, environment: dict[str, str]) -> str:
 @pytest.fixture(scope="module")
 def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """Environment with this Python's colcon first and colcon's own log out of the home folder."""
-    bin_folder = str(Path(sys.executable).parent)
-    return {
-        **os.environ,
-        "PATH": os.pathsep.join([bin_folder, os.environ["PATH"]]),
-        "COLCON_HOME": str(tmp_path_factory.mktemp("colcon_home")),
-        "PYTEST_ADDOPTS": "",
-    }
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    own = {"PATH": path, "COLCON_HOME": str(tmp_path_factory.mktemp("colcon_home")), "PYTEST_ADDOPTS": ""}
+    return {**os.environ, **own}
 
 
 @pytest.fixture(scope="module")
@@ -48,10 +44,8 @@ def test_command_runs_from_the_installed_tree(workspace: Path, environment: dict
     # From an empty folder with install/ sourced: the tree cannot help.
     elsewhere = workspace / "elsewhere"
     elsewhere.mkdir()
-    script = (
-        ". ../install/setup.sh && python -c 'import hd_diag; print(hd_diag.__file__)'"
-        " && ../install/hd_diag/lib/hd_diag/hd-diag --help"
-    )
+    place = "python -c 'import hd_diag; print(hd_diag.__file__)'"
+    script = f". ../install/setup.sh && {place} && ../install/hd_diag/lib/hd_diag/hd-diag --help"
     sourced = {**environment, "COLCON_CURRENT_PREFIX": str(workspace / "install")}
     output = run(["sh", "-c", script], elsewhere, sourced)
     assert output.startswith(str(workspace / "install/hd_diag"))

@@ -64,9 +64,13 @@ def test_demo_is_complete_and_leaves_nothing_running(run: dict[str, Any]) -> Non
     assert (summary["complete"], summary["missing"], summary["problems"]) == (True, [], [])
     assert summary["exit_codes"] == {"joint": 0, "node": 0}
     assert processes_of(run["folder"]) == []
+    refused = summary["refused"]
+    assert (refused["parameter"], refused["value"]) == ("joint_1.circular_spline_teeth", 203)
+    assert "must exceed flexspline_teeth (200, at least 20) by 2 or 4" in refused["reason"]
+    assert f"refused: {refused['reason']}" in run["out"]
 
 
-def test_prediction_and_backlash_move_with_the_eccentricity(run: dict[str, Any]) -> None:
+def test_prediction_backlash_and_residual_move_with_the_eccentricity(run: dict[str, Any]) -> None:
     steps = run["summary"]["steps"]
     assert [step["eccentricity_um"] for step in steps] == [0.0, 5.0, 10.0, 18.0, 23.0]
     errors = [step["predicted_te_pp_arcsec"] for step in steps]
@@ -78,21 +82,11 @@ def test_prediction_and_backlash_move_with_the_eccentricity(run: dict[str, Any])
     assert steps[0]["lost_motion_arcmin"] == pytest.approx(0.210, abs=0.002)
     rates = [step["sample_rate_hz"] for step in steps]
     assert statistics.median(rates) == pytest.approx(250.0, rel=0.05)  # a busy machine is late in a step
-
-
-def test_residual_is_least_at_the_true_eccentricity(run: dict[str, Any]) -> None:
-    found = {step["eccentricity_um"]: step["residual_rms_arcsec"] for step in run["summary"]["steps"]}
+    found = {step["eccentricity_um"]: step["residual_rms_arcsec"] for step in steps}
     residual = {um: rms for um, rms in found.items() if rms is not None}  # a busy machine may miss a step
     assert len(residual) > 1
-    assert min(residual, key=residual.__getitem__) == 18.0
+    assert min(residual, key=residual.__getitem__) == 18.0  # the true one
     assert residual[18.0] == pytest.approx(1.0, abs=0.3)  # the noise of the simulated encoder
-
-
-def test_value_that_cannot_be_is_refused_with_the_reason(run: dict[str, Any]) -> None:
-    refused = run["summary"]["refused"]
-    assert (refused["parameter"], refused["value"]) == ("joint_1.circular_spline_teeth", 203)
-    assert "must exceed flexspline_teeth (200, at least 20) by 2 or 4" in refused["reason"]
-    assert f"refused: {refused['reason']}" in run["out"]
 
 
 def test_log_is_read_with_types_by_rosbags_and_mcap_ros2(run: dict[str, Any]) -> None:
@@ -128,7 +122,10 @@ def test_replay_of_the_log_is_equal_and_the_verdict_true(run: dict[str, Any]) ->
         assert words in out
 
 
-def test_log_of_an_earlier_run_is_not_touched(tmp_path: Path) -> None:
+def test_log_of_an_earlier_run_is_not_touched_and_damage_is_a_problem(tmp_path: Path) -> None:
+    (tmp_path / "log_0.mcap").write_bytes(b"not a bag")
+    (problem,) = read_log(tmp_path).problems
+    assert "cannot be read: " in problem
     (tmp_path / "log").mkdir()
     with pytest.raises(DemoError, match="log exists already: name another folder"):
         demo_run(tmp_path, 5.0)
@@ -138,7 +135,6 @@ def test_log_of_an_earlier_run_is_not_touched(tmp_path: Path) -> None:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signal_ends_it_with_a_readable_log(number: signal.Signals, tmp_path: Path) -> None:
     process = demo(tmp_path / "out", "--seconds", "60")
-    assert process.stdout is not None
     for line in process.stdout:
         if line.startswith("set "):
             break
@@ -172,28 +168,15 @@ def test_node_that_cannot_start_is_named(tmp_path: Path) -> None:
             child.check_running()
 
 
-def test_child_that_ignores_sigint_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "stubborn.py").write_text(
-        "import signal, time\n"
-        "signal.signal(signal.SIGINT, signal.SIG_IGN)\nprint('ready', flush=True)\ntime.sleep(60)\n"
+def test_child_that_ignores_sigint_is_killed(tmp_path: Path) -> None:
+    """It runs beside what it prints: a source tree's package would be imported, not the installed one."""
+    stubborn = (
+        "import os, signal, time; signal.signal(signal.SIGINT, signal.SIG_IGN); "
+        "print(os.getcwd(), flush=True); time.sleep(60)"
     )
-    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}")
-    with Child(["-m", "stubborn"], tmp_path / "out.txt", end_limit=0.2) as child:
+    with Child(["-c", stubborn], tmp_path / "out.txt", end_limit=0.2) as child:
         while not child.lines:
             time.sleep(0.02)
         with pytest.raises(KeyboardInterrupt):
             child.finish(60.0, [signal.SIGTERM])
-    assert child.end() == -signal.SIGKILL
-
-
-def test_damaged_log_is_a_problem(tmp_path: Path) -> None:
-    (tmp_path / "log_0.mcap").write_bytes(b"not a bag")
-    (problem,) = read_log(tmp_path).problems
-    assert "cannot be read: " in problem
-
-
-def test_a_process_runs_beside_what_it_prints(tmp_path: Path) -> None:
-    """In a source tree its package would be imported, not the installed one, and compiled anew."""
-    with Child(["-c", "import os; print(os.getcwd())"], tmp_path / "out.txt") as child:
-        assert child.finish(60.0, []) == 0
-    assert child.lines == [str(tmp_path)]
+    assert (child.end(), child.lines) == (-signal.SIGKILL, [str(tmp_path)])

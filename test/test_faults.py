@@ -18,7 +18,6 @@ ALL = {words: said for part in COMMANDS.values() for words, said in part.items()
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with what the table's commands name."""
     folder = tmp_path_factory.mktemp("faults")
     whole = faults.recording(folder / "a.mcap")
     two = dump(resolve({"joints": ["a", "b"]}))
@@ -38,9 +37,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("words", ALL)
-def test_bad_usage_and_input_is_one_line_and_changes_nothing(
-    words: str, place: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_bad_usage_and_input_is_one_line_and_changes_nothing(words: str, place: Path, monkeypatch) -> None:
     monkeypatch.chdir(place)
     before = {path: path.is_file() and path.read_bytes() for path in place.rglob("*")}
     assert_one_line_error(hd_diag(*words.split()), ALL[words])
@@ -48,9 +45,7 @@ def test_bad_usage_and_input_is_one_line_and_changes_nothing(
 
 
 @pytest.mark.parametrize(("fault", "verb"), [(fault, verb) for fault in FILES for verb in VERBS])
-def test_what_is_wrong_with_a_recording_is_told(
-    fault: str, verb: str, place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_wrong_with_a_recording_is_told(fault, verb, place, tmp_path: Path, monkeypatch) -> None:
     made, told = FILES[fault]
     code, said = told[verb]
     monkeypatch.chdir(tmp_path)
@@ -67,7 +62,6 @@ def test_what_is_wrong_with_a_recording_is_told(
 
 @pytest.mark.parametrize(("given", "reason"), VALUES, ids=[reason for _, reason in VALUES])
 def test_a_bad_value_is_refused_by_check(given: dict[str, object], reason: str, tmp_path: Path) -> None:
-    """A running node: test_node.py."""
     path = tmp_path / "c.yaml"
     path.write_text(faults.parameter_file(joints=["elbow"], **given))
     assert_one_line_error(hd_diag("check", path), reason)

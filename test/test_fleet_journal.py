@@ -29,6 +29,8 @@ def test_results_are_there_at_once_and_later(tmp_path: Path) -> None:
         with pytest.raises(FleetError, match="another run is writing it"):
             Journal(path, fresh=True)
     assert kept(path) == {"b": {}}
+    with pytest.raises(FleetError, match="No such file"):
+        Journal(tmp_path / "none" / "j")
 
 
 def test_every_cut_of_a_journal_is_read_and_written_on(tmp_path: Path) -> None:
@@ -67,11 +69,6 @@ def test_a_result_that_has_changed_is_none(tmp_path: Path) -> None:
         path.write_bytes(line + b"\n" + whole)
         with Journal(path) as journal:
             assert (journal.results, journal.lost) == (rows, 1)
-
-
-def test_a_journal_that_cannot_be_made(tmp_path: Path) -> None:
-    with pytest.raises(FleetError, match="No such file"):
-        Journal(tmp_path / "none" / "j")
 
 
 def test_the_table_has_every_column_with_unit_and_values_as_they_were(tmp_path: Path) -> None:

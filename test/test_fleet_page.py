@@ -16,9 +16,13 @@ ROWS = "return [...document.querySelectorAll('.joints tbody tr')].filter(r => r.
 NAMES = ROWS + ".map(r => r.querySelector('th bdi').textContent)"
 
 
+def page_of(rows: list[dict[str, Any]]) -> str:
+    return health_page(judged(rows), [Fact("Table", "f.parquet")])
+
+
 def written(path: Path, rows: list[dict[str, Any]]) -> str:
     """Address of the page of these rows."""
-    path.write_text(health_page(judged(rows), [Fact("Table", "f.parquet")]), encoding="utf-8")
+    path.write_text(page_of(rows), encoding="utf-8")
     return path.as_uri()
 
 
@@ -28,17 +32,14 @@ def some(tmp_path_factory: pytest.TempPathFactory) -> str:
     folder = tmp_path_factory.mktemp("page")
     rows = fleet_rows(robots=5)
     hostile = {"robot": "robot_6", "bag": f"{HOSTILE}.mcap", "joint": HOSTILE, "verdict": HOSTILE}
-    rows += [
-        row(120.0, **hostile, **CAUSED, inspect=[f"{HOSTILE}: {HOSTILE}"], page=f"week_joints/{HOSTILE}")
-    ]
+    own = {"inspect": [f"{HOSTILE}: {HOSTILE}"], "page": f"week_joints/{HOSTILE}"}
+    rows += [row(120.0, **hostile, **CAUSED, **own)]
     rows += [{**hostile, "joint": None, "error": HOSTILE, "problems": [f"{HOSTILE}.mcap: {HOSTILE}"]}]
     return written(folder / "week.html", rows)
 
 
 def test_nothing_is_in_the_way_of_a_reader(browser: Any, some: str, tmp_path: Path) -> None:
-    """With everything unfolded."""
-    page = Path(some.removeprefix("file://")).read_text()
-    unfolded = tmp_path / "week.html"
+    page, unfolded = Path(some.removeprefix("file://")).read_text(), tmp_path / "week.html"
     unfolded.write_text(page.replace("<details>", "<details open>"))
     assert page_faults(browser, unfolded.as_uri()) == []
 
@@ -91,9 +92,8 @@ def test_the_worst_come_first_and_can_be_chosen(browser: Any, some: str) -> None
         (("elbow", "elbow"), ["elbow", "elbow"]),
     ],
 )
-def test_a_mark_has_a_name(joints: tuple[str, str], marks: list[str], tmp_path: Path) -> None:
-    rows = [row(joint=joint, robot=f"robot_{n}") for n, joint in enumerate(joints)]
-    page = Path(written(tmp_path / "week.html", rows).removeprefix("file://")).read_text()
+def test_a_mark_has_a_name(joints: tuple[str, str], marks: list[str]) -> None:
+    page = page_of([row(joint=joint, robot=f"robot_{n}") for n, joint in enumerate(joints)])
     assert sorted(re.findall(r'<bdi aria-hidden="true">(\w*)</bdi>', page)) == marks
 
 
@@ -107,11 +107,9 @@ def test_what_is_missing_stands_before_the_joints(some: str) -> None:
     assert rows.count("recorded 2026-") == 31
 
 
-def test_what_changed_stands_in_its_row_with_its_day(tmp_path: Path) -> None:
+def test_what_changed_stands_in_its_row_with_its_day() -> None:
     """A drift towards the limit, and the day on which that is reached."""
-    rows = [row(30.0 + 2.0 * n, start=BEGIN + n * DAY, bag=f"{n}.mcap") for n in range(16)]
-    page = Path(written(tmp_path / "week.html", rows).removeprefix("file://")).read_text()
+    page = page_of([row(30.0 + 2.0 * n, start=BEGIN + n * DAY, bag=f"{n}.mcap") for n in range(16)])
     assert "1 changed over time" in page
     drift = re.search(r"transmission error drifts by \+60.*?reaches the limit of 90 arcsec on ([\d-]+)", page)
-    assert drift is not None
     assert drift[1] == "2026-01-31"  # 30 days after the first

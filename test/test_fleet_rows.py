@@ -72,21 +72,16 @@ def test_a_folder_that_cannot_be_listed_is_reported(tmp_path: Path) -> None:
     assert "Permission denied" in survey(str(closed)).error
 
 
-def test_a_survey(tmp_path: Path) -> None:
-    seen = survey(str(fleet_tasks.small_bag(tmp_path / "a.mcap", 3)))
-    assert (seen.error, seen.messages, seen.problems) == ("", 12, ())
-    assert seen.names == {"joint_1_motor", "joint_1"}
-    assert seen.start == fleet_tasks.BEGIN + 3 * fleet_tasks.DAY
-    own = hashlib.sha256((tmp_path / "a.mcap").read_bytes()).digest()
-    assert seen.digest == hashlib.sha256(own).hexdigest()
-
-
-def test_tasks_are_the_joints_that_a_bag_holds(tmp_path: Path) -> None:
+def test_a_survey_and_the_tasks_of_the_joints_that_a_bag_holds(tmp_path: Path) -> None:
     """One of two angles is enough to be asked for, and reported with why it is not judged."""
+    names = ("joint_2", "joint_3", "joint_3_motor")
+    path = fleet_tasks.small_bag(tmp_path / "a.mcap", 3, names)
+    seen = survey(str(path))
+    assert (seen.error, seen.messages, seen.problems, seen.names) == ("", 12, (), set(names))
+    assert seen.start == fleet_tasks.BEGIN + 3 * fleet_tasks.DAY
+    assert seen.digest == hashlib.sha256(hashlib.sha256(path.read_bytes()).digest()).hexdigest()
     config = resolve({"joints": ["joint_1", "joint_2", "joint_3"]})
-    path = fleet_tasks.small_bag(tmp_path / "a.mcap", names=("joint_2", "joint_3", "joint_3_motor"))
-    found = tasks(survey(str(path)), config, config.joints)
-    assert [task.joint.name for task in found] == ["joint_2", "joint_3"]
+    assert [task.joint.name for task in tasks(seen, config, config.joints)] == ["joint_2", "joint_3"]
 
 
 def test_the_key_of_a_result_is_what_it_depends_on(tmp_path: Path) -> None:
@@ -110,25 +105,20 @@ def row(day: int, joint: str = "joint_1", robot: str | None = None, **given: Any
     start = fleet_tasks.BEGIN + day * fleet_tasks.DAY
     own = {"bag": f"{day}.mcap", "robot": robot, "start": start, "joint": joint}
     own |= {"tested": ["hysteresis"], "tested_least_rad": [1e-6]}
-    return fleet_tasks.row(residual=1e-6 * (1 + day), **{**own, **given})
+    return fleet_tasks.row(residual=1e-6 * (1 + day), **(own | given))
 
 
 def named(name: str, *alike: str, size: float | None = 3e-6) -> dict[str, Any]:
-    return {
-        "causes": [name],
-        "cause_classes": [[name, *alike]],
-        "cause_amplitudes_rad": [size],
-        "cause_amplitude_stds_rad": [None if size is None else 1e-7],
-        "tested": [],
-        "tested_least_rad": [],
-    }
+    amplitude = {"cause_amplitudes_rad": [size], "cause_amplitude_stds_rad": [None if size is None else 1e-7]}
+    cause = {"causes": [name], "cause_classes": [[name, *alike]]}
+    return cause | amplitude | {"tested": [], "tested_least_rad": []}
 
 
 def by_quantity(rows: list[Row], **limits: float) -> dict[str, Series]:
     return {s.quantity: s for s in series_of(rows, {("joint_1", k): v for k, v in limits.items()})}
 
 
-def test_values_in_order_of_time_with_their_deviations() -> None:
+def test_values_in_order_of_time_with_their_deviations_by_robot_and_joint() -> None:
     found = by_quantity([row(day) for day in (2, 0, 1)])
     assert set(found) == {"eccentricity", "transmission_error", "residual_nominal", "residual_refit"}
     residual = found["residual_refit"]
@@ -137,12 +127,9 @@ def test_values_in_order_of_time_with_their_deviations() -> None:
     assert_allclose(residual.std / residual.value, 0.04 / 2 / 1.96, rtol=1e-4)
     assert_allclose(found["eccentricity"].std, 1e-7)
     assert math.isnan(residual.limit)
-
-
-def test_joints_and_robots_are_kept_apart() -> None:
     rows = [row(0), row(0, "joint_2"), row(1, robot="a"), row(1, robot="b")]
-    found = [(s.robot, s.joint) for s in series_of(rows, {}) if s.quantity == "eccentricity"]
-    assert found == [("", "joint_1"), ("", "joint_2"), ("a", "joint_1"), ("b", "joint_1")]
+    apart = [(s.robot, s.joint) for s in series_of(rows, {}) if s.quantity == "eccentricity"]
+    assert apart == [("", "joint_1"), ("", "joint_2"), ("a", "joint_1"), ("b", "joint_1")]
 
 
 def test_what_could_not_be_judged_is_no_value() -> None:
@@ -168,7 +155,5 @@ def test_causes_that_a_record_cannot_tell_apart_are_one() -> None:
     both = found["output_encoder_eccentricity or output_runout"]
     assert_allclose(both.value, [3e-6, 4e-6])
     assert both.limit == 1e-5
-
-
-def test_classes_join_where_they_touch() -> None:
-    assert classes([[["a", "b"]], [["c"]], [["d", "c"], ["b", "e"]]]) == [frozenset("abe"), frozenset("cd")]
+    many = [[["a", "b"]], [["c"]], [["d", "c"], ["b", "e"]]]
+    assert classes(many) == [frozenset("abe"), frozenset("cd")]

@@ -16,6 +16,7 @@ CUT = {"problems": ["a.mcap: is cut off or damaged at byte 228680 of 261683"]}
 NOT_TOLD = {"error_rad": None, "error_std_rad": None}
 GREY = {"judgement": "misfit", "light": "not_judged"}
 GREY |= {"advice": "Cannot be judged: the model does not describe this record."}
+NEAR = "transmission error 89.0 ± 0.9 arcsec, too near to its limit of 90.0 arcsec to judge"
 INSPECT = {"light": "red", "advice": "Inspect: hysteresis (99.0 % sure)."}
 
 
@@ -27,11 +28,7 @@ def weeks(*given: dict[str, Any], **more: Any) -> list[dict[str, Any]]:
     ("given", "state", "reason"),
     [
         ({}, "green", None),
-        (
-            {"arcsec": 89.0},
-            "amber",
-            "transmission error 89.0 ± 0.9 arcsec, too near to its limit of 90.0 arcsec to judge",
-        ),
+        ({"arcsec": 89.0}, "amber", NEAR),
         ({"arcsec": 91.0}, "amber", "too near"),
         ({"arcsec": 92.0}, "red", "transmission error 92.0 ± 0.9 arcsec, beyond its limit of 90.0 arcsec"),
         ({"microns": 9.9}, "amber", "eccentricity 9.90 ± 0.10 µm, too near"),
@@ -82,15 +79,9 @@ def test_since_when() -> None:
 
 
 def test_joints_are_ordered_worst_first() -> None:
-    rows = [
-        row(30.0, joint="joint_1"),
-        row(120.0, joint="joint_2"),
-        row(50.0, joint="joint_10"),
-        row(joint="joint_3", **NOT_TOLD, **GREY),
-        row(89.0, joint="joint_4"),
-        row(150.0, joint="joint_5"),
-    ]
-    names = [one.joint for one in judged(rows).standings]
+    errors = {1: 30.0, 2: 120.0, 10: 50.0, 4: 89.0, 5: 150.0}
+    rows = [row(arcsec, joint=f"joint_{number}") for number, arcsec in errors.items()]
+    names = [one.joint for one in judged([*rows, row(joint="joint_3", **NOT_TOLD, **GREY)]).standings]
     assert names == ["joint_5", "joint_2", "joint_3", "joint_4", "joint_10", "joint_1"]
 
 
@@ -103,7 +94,10 @@ def test_a_limit_of_the_user_goes_before_the_gears() -> None:
     assert all(one.limit != ALLOWED for one in found.colours[0].limited)
 
 
-def test_a_bag_without_a_joint_matters_until_its_robot_was_recorded_again() -> None:
+def test_a_bag_cut_off_or_without_a_joint_matters_until_the_next_recording() -> None:
+    assert judged(weeks({}, CUT)).fails("amber")
+    assert not judged(weeks(CUT, {})).fails("amber")
+    assert headline(judged(weeks({}, CUT))).endswith("Of the bags: 1 cut off.")
     broken = {"bag": "b.mcap", "robot": None, "error": "holds no topic"}
     late, early = {**broken, "start": BEGIN + WEEK}, {**broken, "start": BEGIN - WEEK}
     assert judged([row(), broken]).fails("amber")
@@ -115,12 +109,6 @@ def test_a_bag_without_a_joint_matters_until_its_robot_was_recorded_again() -> N
     )
 
 
-def test_a_cut_off_bag_matters_until_its_joint_was_recorded_again() -> None:
-    assert judged(weeks({}, CUT)).fails("amber")
-    assert not judged(weeks(CUT, {})).fails("amber")
-    assert headline(judged(weeks({}, CUT))).endswith("Of the bags: 1 cut off.")
-
-
 def test_refused_samples_are_told() -> None:
     some, many = {"samples": 90_000, **REFUSED}, {"samples": 9_000, **REFUSED}
     assert [one["refused"] for one in as_json("t", judged(weeks({}, some)))["refused"]] == [1_000]
@@ -130,7 +118,6 @@ def test_refused_samples_are_told() -> None:
 
 
 def test_recordings_of_one_joint_at_the_same_time_are_of_several_robots() -> None:
-    """Copies aside."""
     other = {"start": BEGIN + 30 * 10**9, "bag": "b.mcap", "bag_sha256": "b"}
     assert "of several robots" in notes(judged([row(), row(**other)]))[0]
     assert notes(judged([row(), row(**{**other, "bag_sha256": row()["bag_sha256"]})])) == []

@@ -75,8 +75,7 @@ def test_json_holds_null_for_what_is_not_finite_and_no_type_of_numpy() -> None:
 
 def test_what_is_not_all_is_not_told_as_all() -> None:
     shares = (0.9997, 1.0, 0.99951, 0.9994, -0.00001, math.nan)
-    assert [formatting.percent(share) for share in shares] == [
-        "99.9 %", "100.0 %", "99.9 %", "99.9 %", "0.0 %", "–"
-    ]  # fmt: skip
+    told = ["99.9 %", "100.0 %", "99.9 %", "99.9 %", "0.0 %", "–"]
+    assert [formatting.percent(share) for share in shares] == told
     assert [formatting.percent(share, 0) for share in (0.997, 1.0, 0.5)] == ["99 %", "100 %", "50 %"]
     assert formatting.percents(0.975, 0.99999) == "97.5 to 99.9 %"

@@ -1,29 +1,21 @@
 """Fault codes: each raised, told and cleared; the numbers behind them."""
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 import pytest
 from live import MS, RATIO, START, config, states
 from numpy.testing import assert_allclose
 
-from hd_diag.config.configuration import Config
 from hd_diag.drive import MeshState, mesh_state, transmission_error
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.monitor.all_joints import Monitor
-from hd_diag.monitor.health import FAULT_CODES
 from hd_diag.monitor.publications import Status
 from hd_diag.replay.map_builder import map_of
 
 NAMES = ("joint_1_motor", "joint_1")
 SECOND = 1000 * MS
 # Limits that the joint keeps where the tests overload it on purpose.
-QUIET = {
-    "array_rate": 0.0,
-    "joint_1__limits__peak_tooth_load__warn": 1e3,
-    "joint_1__limits__peak_tooth_load__error": 2e3,
-}
+QUIET = {f"joint_1__limits__peak_tooth_load__{level}": 1e3 for level in ("warn", "error")}
+QUIET["array_rate"] = 0.0
 WRITING = {"log_state": "writing x", "latency_p99_us": "81.5"}
 
 
@@ -32,33 +24,29 @@ class Life:
 
     def __init__(self, **given: object) -> None:
         self.monitor = Monitor(config(**QUIET | given))
-        self.now = START
+        self.now, self.angle = START, 0.0
 
-    def take(self, stamp: int, angle: float = 0.0, output: float = 0.0, torque: float = 0.0) -> None:
-        made = states(NAMES, [stamp], [[angle, output]], [[0.0, torque]])
-        self.monitor.mixed_states(np.array([stamp]), (made,))
+    def take(self, stamps: np.ndarray, *columns: object) -> None:
+        """Samples: their input angles, output angles and torques, each one for all or one a sample."""
+        angle, output, torque = (np.broadcast_to(column, stamps.shape) for column in columns)
+        effort = np.stack((0.0 * torque, torque), axis=1)
+        made = states(NAMES, stamps, np.stack((angle, output), axis=1), effort)
+        self.monitor.mixed_states(stamps, (made,))
 
-    def run(
-        self,
-        samples: int = 50,
-        torque: float = 1.0,
-        angle: Callable[[int], float] = lambda i: 0.01 * i,
-        wobble: float = 0.0,
-        broken: int = 0,
-    ) -> None:
-        for i in range(samples):
-            self.now += MS
-            value = np.nan if i < broken else angle(i)
-            self.take(self.now, value, angle(i) / RATIO + wobble * (-1) ** i, torque)
+    def run(self, samples=50, torque=(1.0,), step=0.01, wobble=0.0, broken=0) -> None:
+        """Samples whose angle grows by a step [rad], under torques that repeat; the first are broken."""
+        number = np.arange(samples)
+        stamps, angle = self.now + MS * (1 + number), self.angle + step * (1 + number)
+        output = angle / RATIO + wobble * (-1.0) ** number
+        self.take(stamps, np.where(number < broken, np.nan, angle), output, np.resize(torque, samples))
+        self.now, self.angle = int(stamps[-1]), float(angle[-1])
 
     def report(self, after: int = MS, **facts: str) -> Status:
         self.now += after
         return self.monitor.tick(self.now, self.now, WRITING | facts).statuses[0]
 
     def missed(self, stamps: np.ndarray) -> int:
-        """What the report says was missed after samples at stamps."""
-        for stamp in stamps.tolist():
-            self.take(stamp)
+        self.take(stamps, 0.0, 0.0, 0.0)
         return int(self.report().values["samples_missed"])
 
 
@@ -71,49 +59,42 @@ def code(status: Status) -> tuple[str, int]:
     return status.values["fault_code"], status.level
 
 
-# Every fault code: what raises it as a warning, what as an error: silence [s], limits so low that a healthy
-# joint exceeds them, how it runs ---
-
+# Every fault code: limits so low that a healthy joint exceeds them, or how it runs, and its silence [s].
 CAUSES = [
-    ("STALE", {"silent": 1.0}, 1, "no valid sample for 1.0 s: its input arrives no more"),
-    ("STALE", {"silent": 3.0}, 2, "no valid sample for 3.0 s: its input arrives no more"),
-    ("INPUT_INVALID", {"broken": 5}, 1, "5 samples rejected: input angle of joint_1_motor is nan"),
-    ("INPUT_INVALID", {"broken": 30}, 2, "30 samples rejected: input angle of joint_1_motor is nan"),
-    ("OUT_OF_RANGE", {"torque": -123.2}, 1, "torque is 2.20 times the rated torque"),
-    ("OUT_OF_RANGE", {"torque": 224.0}, 2, "torque is 4.00 times the rated torque"),
-    ("RESIDUAL", {"wobble": 2e-4}, 1, "residual 41."),
-    ("RESIDUAL", {"wobble": 6e-4}, 2, "residual 123."),
-    ("INTERFERENCE", {"overlap": (-1.0, 60e-6)}, 1, "the lobes overlap by"),
-    ("INTERFERENCE", {"overlap": (-1.0, -1.0)}, 2, "the lobes overlap by"),
-    ("LOAD_CONCENTRATION", {"peak_tooth_load": (0.0, 1e3)}, 1, "peak tooth load "),
-    ("LOAD_CONCENTRATION", {"load_concentration": (1.0, 1.0)}, 2, "peak tooth load is "),
+    ("STALE", {}, {"silent": 1.0}, 1, "no valid sample for 1.0 s: its input arrives no more"),
+    ("STALE", {}, {"silent": 3.0}, 2, "no valid sample for 3.0 s: its input arrives no more"),
+    ("INPUT_INVALID", {}, {"broken": 5}, 1, "5 samples rejected: input angle of joint_1_motor is nan"),
+    ("INPUT_INVALID", {}, {"broken": 30}, 2, "30 samples rejected: input angle of joint_1_motor is nan"),
+    ("INPUT_INVALID OUT_OF_RANGE", {}, {"torque": 123.2, "broken": 30}, 2, "30 samples rejected"),
+    ("OUT_OF_RANGE", {}, {"torque": -123.2}, 1, "torque is 2.20 times the rated torque"),
+    ("OUT_OF_RANGE", {}, {"torque": 224.0}, 2, "torque is 4.00 times the rated torque"),
+    ("RESIDUAL", {}, {"wobble": 2e-4}, 1, "residual 41."),
+    ("RESIDUAL", {}, {"wobble": 6e-4}, 2, "residual 123."),
+    ("INTERFERENCE", {"overlap__warn": -1.0}, {}, 1, "the lobes overlap by"),
+    ("INTERFERENCE", {"overlap__warn": -1.0, "overlap__error": -1.0}, {}, 2, "the lobes overlap by"),
+    ("LOAD_CONCENTRATION", {"peak_tooth_load__warn": 0.0}, {}, 1, "peak tooth load "),
+    (
+        "LOAD_CONCENTRATION",
+        {"load_concentration__warn": 1.0, "load_concentration__error": 1.0},
+        {},
+        2,
+        "peak ",
+    ),
+    ("LOAD_CONCENTRATION", {"load_concentration__warn": 1.0, "peak_tooth_load__warn": 0.0}, {}, 1, "peak "),
 ]
 
 
-def limited(**given: tuple[float, float]) -> Config:
-    limits = {
-        f"joint_1__limits__{name}__{level}": value
-        for name, pair in given.items()
-        for level, value in zip(("warn", "error"), pair, strict=True)
-    }
-    return config(**QUIET | limits)
-
-
 @pytest.mark.parametrize("is_log_failed", [False, True])
-@pytest.mark.parametrize(("fault", "cause", "level", "message"), CAUSES)
-def test_a_fault_is_raised_and_cleared(
-    life: Life, fault: str, cause: dict[str, Any], level: int, message: str, is_log_failed: bool
-) -> None:
-    """It is told before what is wrong with the log, a warning as well as an error."""
+@pytest.mark.parametrize(("codes", "limits", "how", "level", "message"), CAUSES)
+def test_a_fault_is_raised_and_cleared(life: Life, codes, limits, how, level, message, is_log_failed) -> None:
+    """The worst is told, and before what is wrong with the log, a warning as well as an error."""
     log = {"log_state": "failed: disk full", "log_warning": "old.mcap cannot be deleted"}
-    limits = {name: value for name, value in cause.items() if isinstance(value, tuple)}
-    how = {name: value for name, value in cause.items() if name not in {*limits, "silent"}}
-    life.monitor.configure(limited(**limits))
-    life.run(**how)
-    after = MS + int(cause.get("silent", 0.0) * SECOND)
+    life.monitor.configure(config(**QUIET | {f"joint_1__limits__{name}": x for name, x in limits.items()}))
+    life.run(**{name: value for name, value in how.items() if name != "silent"})
+    after = MS + int(how.get("silent", 0.0) * SECOND)
     status = life.report(after, **(log if is_log_failed else {}))
-    assert code(status) == (fault, level)
-    assert status.values["fault_codes"] == fault + " LOG_FAILED" * is_log_failed
+    assert code(status) == (codes.split()[0], level)
+    assert status.values["fault_codes"] == codes + " LOG_FAILED" * is_log_failed
     assert status.message.startswith(message)
     told = "; log failed: disk full; log: old.mcap cannot be deleted"
     assert status.message.endswith(told) == is_log_failed
@@ -123,84 +104,39 @@ def test_a_fault_is_raised_and_cleared(
     assert (code(status), status.message, status.name) == (("OK", 0), "OK", "hd_diag: joint_1")
 
 
-def test_a_failed_log_is_a_warning_while_it_lasts(life: Life) -> None:
-    life.run()
-    status = life.report(log_state="failed: disk full")
-    assert (code(status), status.message) == (("LOG_FAILED", 1), "log failed: disk full")
-    life.run()
-    assert code(life.report()) == ("OK", 0)
-
-
-def test_every_code_is_known_and_tested() -> None:
-    tested = {fault for fault, *_ in CAUSES} | {"LOG_FAILED", "OK"}
-    assert tested == set(FAULT_CODES)
-
-
-def test_of_several_the_worst_is_told_and_all_are_named(life: Life) -> None:
-    life.run(torque=123.2, broken=30)
-    status = life.report(log_state="failed: disk full")
-    assert code(status) == ("INPUT_INVALID", 2)
-    assert status.values["fault_codes"] == "INPUT_INVALID OUT_OF_RANGE LOG_FAILED"
-    assert status.message.startswith("30 samples rejected")
-    assert status.message.endswith("; log failed: disk full")
-
-
-def test_two_findings_of_one_fault_name_it_once(life: Life) -> None:
-    life.monitor.configure(limited(peak_tooth_load=(0.0, 1e3), load_concentration=(1.0, 5.0)))
-    life.run()
-    assert life.report().values["fault_codes"] == "LOAD_CONCENTRATION"
-
-
-# Silence ---
-
-
 def test_a_joint_that_never_spoke_is_stale_from_the_first_report_on(life: Life) -> None:
-    assert code(life.report()) == ("OK", 0)
-    assert code(life.report(after=SECOND)) == ("STALE", 1)
-    assert code(life.report(after=SECOND + SECOND // 2)) == ("STALE", 2)
+    reports = [life.report(after=after) for after in (MS, SECOND, SECOND + SECOND // 2)]
+    assert [code(report) for report in reports] == [("OK", 0), ("STALE", 1), ("STALE", 2)]
 
 
 def test_a_joint_whose_input_stopped_is_stale_though_its_output_goes_on(life: Life) -> None:
     life.run()
     stamps = life.now + MS * np.arange(1, 1001)
     life.monitor.mixed_states(stamps, (states(("joint_1",), stamps, np.zeros(1000), np.ones(1000)),))
-    life.now = int(stamps[-1])
-    assert code(life.report()) == ("STALE", 1)
+    assert code(life.report(after=SECOND)) == ("STALE", 1)
 
 
+MOTORS = {"joint_1__input__topic": "motors", "joint_1__input__name": "m1"}
+NOWHERE = "no message has position of motors; m1 does not arrive; the names that do are joint_1_mot"
 ABSENT = [
     ({"joint_1_mot": 0.0}, {}, "joint_1_motor does not arrive; the nearest name that does is joint_1_mot"),
-    ({"joint_1": 0.0, "x": 0.0}, {}, "of joint_1_motor nothing arrives, of its output joint_1 alone"),
     ({"tail": 0.0, "a\nb": 0.0}, {}, "joint_1_motor does not arrive; the names that do are tail, a\\nb"),
     ({"joint_1_motor": np.nan}, {}, "what comes is rejected: input angle of joint_1_motor is nan"),
     ({}, {}, "joint_1_motor does not arrive; the names that do are none"),
-    (
-        {"joint_1_mot": 0.0},
-        {"joint_1__input__topic": "motors", "joint_1__input__name": "m1"},
-        "no message has position of motors; m1 does not arrive; the names that do are joint_1_mot",
-    ),
-    (
-        {"joint_1": 0.0},
-        {"absence.joint_1": "nobody publishes /joint_states"},
-        "nobody publishes /joint_states",
-    ),
+    ({"joint_1_mot": 0.0}, MOTORS, NOWHERE),
 ]
 
 
 @pytest.mark.parametrize(("position", "given", "why"), ABSENT, ids=[why for *_, why in ABSENT])
-def test_a_stale_joint_says_what_arrives_in_its_place(
-    position: dict[str, float], given: dict[str, str], why: str
-) -> None:
+def test_a_stale_joint_says_what_arrives_in_its_place(position, given: dict[str, str], why: str) -> None:
     """Whenever it came, since the report before or the two before that."""
-    facts = {name: value for name, value in given.items() if name.startswith("absence.")}
-    lenient = {f"joint_1__limits__rejected__{level}": 1.0 for level in ("warn", "error")}
-    life = Life(**lenient, **{name: value for name, value in given.items() if name not in facts})
+    life = Life(**{f"joint_1__limits__rejected__{level}": 1.0 for level in ("warn", "error")}, **given)
     life.report()
     life.now += SECOND
     made = states([*position], [life.now], [list(position.values())])
     life.monitor.mixed_states(np.array([life.now]), (made,))
     for _ in range(1 if np.nan in position.values() else 3):
-        status = life.report(**facts)
+        status = life.report()
         assert code(status) == ("STALE", 1)
         assert status.message.partition(" s: ")[2] == why
 
@@ -216,30 +152,17 @@ def test_a_velocity_without_its_output_is_told(life: Life) -> None:
     assert life.report().message.endswith(said)
 
 
-# Values that are none of the joint ---
+EFFORTS = [([0.0], "is zero throughout"), ([np.nan], "is not a number throughout"), ([12.0], "")]
+EFFORTS += [([5e-324, -5e-324], "is never beyond 4.94e-324 N m"), ([999.0], "is 999 N m throughout")]
 
 
-@pytest.mark.parametrize(
-    ("effort", "said"),
-    [
-        ([0.0], "is zero throughout"),
-        ([5e-324, -5e-324], "is never beyond 4.94e-324 N m"),
-        ([np.nan], "is not a number throughout"),
-        ([999.0], "is 999 N m throughout"),
-        ([0.0, 0.2], ""),
-        ([12.0], ""),
-    ],
-)
+@pytest.mark.parametrize(("effort", "said"), [*EFFORTS, ([0.0, 0.2], "")])
 def test_a_torque_that_nothing_measured_is_told(effort: list[float], said: str) -> None:
     """Once the joint turns: at rest a torque may be zero."""
     life = Life(joint_1__limits__torque__warn=100.0, joint_1__limits__torque__error=100.0)
-    for i in range(8):
-        life.now += MS
-        life.take(life.now, 0.4 * i, 0.004 * i + 0.1, effort[i % len(effort)])
+    life.run(8, effort, step=0.4)
     assert life.report().values["torque_not_measured"] == ""
-    for i in range(8, 24):
-        life.now += MS
-        life.take(life.now, 0.4 * i, 0.004 * i + 0.1 * (-1) ** i, effort[i % len(effort)])
+    life.run(16, effort, step=0.4, wobble=0.1)
     status = life.report()
     assert status.values["torque_not_measured"] == said
     assert "measured error is not the predicted one" in status.message
@@ -249,28 +172,30 @@ def test_a_torque_that_nothing_measured_is_told(effort: list[float], said: str) 
 @pytest.mark.parametrize("value", [0.0, -1.5])
 def test_values_of_a_second_publisher_are_told_while_they_come(value: float) -> None:
     life = Life()
-    for i in range(300):
-        life.now += MS
-        life.take(life.now, 20.0 + 0.01 * i, 0.2 + 0.0001 * i, 1.0 + 0.001 * i)
-        if i % 20 == 0:
-            life.take(life.now + MS // 2, value, value, 0.0)
+    stamps, angle = START + MS * np.arange(300), 20.0 + 0.01 * np.arange(300)
+    own, other = (stamps, angle, 0.01 * angle, 0.1 * angle), (stamps[::20] + MS // 2, value, value, 0.0)
+    behind = 1 + np.arange(0, 300, 20)
+    life.take(*(np.insert(column, behind, each) for column, each in zip(own, other, strict=True)))
+    life.now = int(stamps[-1])
     status = life.report()
     assert "INPUT_INVALID" in status.values["fault_codes"].split()
     assert (status.level > 1) == (value != 0.0), "these two angles do not belong together: RESIDUAL too"
     place = value % (2.0 * np.pi)  # the output stays within a turn
     assert f"15 rows with input {value:g} rad and output {place:g} rad" in status.message
-    life.run(angle=lambda i: 23.0 + 0.01 * i)
+    life.angle = 23.0
+    life.run()
     assert "second publisher" not in life.report().message
 
 
-# Numbers ---
-
-
 def test_numbers_are_those_of_the_drive(life: Life) -> None:
-    life.run(angle=lambda i: 0.02 * i, torque=30.0)
+    joint = life.monitor.config.joints[0]
+    drive, table = joint.drive, map_of(joint)
+    before = life.report().values
+    assert (before["prediction"], before["prediction_error_bound_arcsec"]) == ("exact", "0")
+    life.monitor.use_map("joint_1", table)
+    life.run(torque=30.0, step=0.02)
     values = life.report().values
-    drive = life.monitor.config.joints[0].drive
-    state = mesh_state(drive, np.array([0.98]), np.array([-30.0]))
+    state = mesh_state(drive, np.array([1.0]), np.array([-30.0]))
     turn = transmission_error(drive, np.linspace(0.0, 2.0 * np.pi, 4000), np.full(4000, 30.0))
     assert values["loaded_pairs"] == str(state.loaded_pairs[0])
     expected = {
@@ -278,16 +203,16 @@ def test_numbers_are_those_of_the_drive(life: Life) -> None:
         "peak_tooth_load_N": state.peak_load[0],
         "load_concentration": state.load_concentration[0],
         "lost_motion_arcmin": state.lost_motion[0] / ARCSEC / 60.0,
-        "input_angle_rad": 0.98,
+        "input_angle_rad": 1.0,
         "torque_Nm": 30.0,
         "sample_rate_hz": 1000.0,
+        "prediction_error_bound_arcsec": table.error_bound / ARCSEC,
     }
     for key, value in expected.items():
         assert_allclose(float(values[key]), value, rtol=1e-5, err_msg=key)
     assert_allclose(float(values["predicted_te_pp_arcsec"]), np.ptp(turn) / ARCSEC, rtol=0.05)
-    assert values["samples"] == "50"
-    assert values["latency_p99_us"] == "81.5"
-    assert values["log_state"] == "writing x"
+    told = (values["samples"], values["latency_p99_us"], values["log_state"], values["prediction"])
+    assert told == ("50", "81.5", "writing x", "map")
 
 
 def turned(eccentricity: float, torque: float) -> MeshState:
@@ -304,14 +229,10 @@ def test_overlap_is_judged_by_what_it_does_to_the_teeth() -> None:
         life.run()
         status = life.report()
         idle, rated = turned(size, 0.0), turned(size, 56.0).peak_load.max()
-        expected = {
-            "overlap_um": idle.overlap.max() * 1e6,
-            "idle_tooth_load_N": idle.peak_load.max(),
-            "rated_tooth_load_N": rated,
-            "tooth_load_margin_lost_percent": 100.0 * (rated - even) / (100.0 - even),
-        }
-        for key, value in expected.items():
-            assert_allclose(float(status.values[key]), value, rtol=0.02, err_msg=key)
+        keys = ("overlap_um", "idle_tooth_load_N", "rated_tooth_load_N", "tooth_load_margin_lost_percent")
+        lost = 100.0 * (rated - even) / (100.0 - even)
+        expected = (idle.overlap.max() * 1e6, idle.peak_load.max(), rated, lost)
+        assert_allclose([float(status.values[key]) for key in keys], expected, rtol=0.02)
         assert status.values["interference"] == ("true" if idle.overlap.max() > 0.0 else "false")
         assert code(status) == (("INTERFERENCE", level) if level else ("OK", 0))
         assert level == 0 or 1.5 * even < rated
@@ -323,53 +244,27 @@ def test_overlap_is_judged_by_what_it_does_to_the_teeth() -> None:
 def test_residual_is_without_its_mean(life: Life) -> None:
     drive = life.monitor.config.joints[0].drive
     offset, wave = 0.01, 3e-5
-    for i in range(200):
-        life.now += MS
-        error = transmission_error(drive, np.array([0.01 * i]), np.ones(1))[0]
-        output = 0.01 * i / RATIO + error + offset + wave * np.cos(np.pi * i / 50)
-        life.take(life.now, 0.01 * i, output, 1.0)
+    number = np.arange(200)
+    angle = 0.01 * number
+    error = transmission_error(drive, angle, np.ones(200)) + offset + wave * np.cos(np.pi * number / 50)
+    life.take(START + MS * number, angle, angle / RATIO + error, 1.0)
     values = life.report().values
     assert_allclose(float(values["residual_rms_arcsec"]) * ARCSEC, wave / np.sqrt(2.0), rtol=1e-4)
     assert_allclose(float(values["residual_mean_arcsec"]) * ARCSEC, offset, rtol=1e-4)
 
 
-def test_configuration_is_told() -> None:
-    life = Life(joint_1__eccentricity__magnitude=4e-6, joint_1__eccentricity__direction=np.pi / 2)
-    life.run()
-    life.monitor.temperature("joint_1", 36.6)
-    values = life.report().values
-    assert_allclose(float(values["eccentricity_um"]), 4.0)
-    assert_allclose(float(values["eccentricity_direction_deg"]), 90.0)
-    assert values["temperature_C"] == "36.6"
-    assert (values["prediction"], values["prediction_error_bound_arcsec"]) == ("exact", "0")
-    table = map_of(life.monitor.config.joints[0])
-    life.monitor.use_map("joint_1", table)
-    values = life.report().values
-    assert values["prediction"] == "map"
-    assert_allclose(float(values["prediction_error_bound_arcsec"]), table.error_bound / ARCSEC, rtol=1e-5)
-
-
-def test_keys_are_the_same_before_and_after_the_first_sample(life: Life) -> None:
-    before = life.report()
-    life.run()
-    assert list(before.values) == list(life.report().values)
-    assert all(isinstance(value, str) for value in before.values.values())
-
-
 def test_counts_go_on_and_shares_begin_anew(life: Life) -> None:
+    """A sample that is rejected is not told as missed, too; one that never came is seen in the stamps."""
+    before = list(life.report().values)
+    life.run()
     life.run(broken=5)
-    life.report()
-    life.run(samples=20)
-    values = life.report().values
-    assert (values["samples"], values["samples_rejected"], values["fault_code"]) == ("65", "5", "OK")
-    assert values["last_rejection"] == "input angle of joint_1_motor is nan"
-
-
-def test_samples_that_never_came_are_seen_in_the_stamps(life: Life) -> None:
     for gone, missed in ((0, "0"), (3, "3"), (2, "5"), (0, "5")):
         life.now += gone * MS
         life.run()
-        assert life.report(after=0).values["samples_missed"] == missed
+        values = life.report(after=0).values
+        assert (list(values), values["samples_missed"]) == (before, missed)
+    assert (values["samples"], values["samples_rejected"], values["fault_code"]) == ("295", "5", "OK")
+    assert values["last_rejection"] == "input angle of joint_1_motor is nan"
 
 
 @pytest.mark.parametrize("lost", [range(0), range(300, 350)], ids=["none", "fifty"])
@@ -386,7 +281,7 @@ def test_a_sender_that_is_held_up_and_catches_up_has_lost_nothing(life: Life, lo
 def test_a_sender_that_sends_in_bursts_has_lost_nothing(life: Life, before: int) -> None:
     """A hundred samples within 2 ms, every 100 ms: the step within a burst is no period."""
     number = np.arange(1000)
-    assert life.missed(START + np.arange(before) * MS) == 0
+    assert not before or life.missed(START + np.arange(before) * MS) == 0
     late = START + (before + 100 + number // 100 * 100) * MS + number % 100 * 20_000
     assert life.missed(late) <= 100  # those of the first delay
     assert life.missed(np.delete(late + 1000 * MS, slice(300, 500))) <= 330  # 200 more are lost
@@ -405,13 +300,6 @@ def test_a_pause_or_a_clock_that_was_set_ahead_is_no_loss(life: Life) -> None:
     hour, before = 3_600_000 * MS, START + np.arange(1000) * MS
     assert life.missed(np.append(before, before + hour)) == 0
     assert life.missed(START + hour + np.append(np.arange(1000, 1500), np.arange(1503, 2000)) * MS) == 3
-
-
-def test_rejected_samples_are_not_told_as_missed_too(life: Life) -> None:
-    for row in range(1000):
-        life.take(START + row * MS, np.nan if row % 10 == 5 else 0.0)
-    values = life.report().values
-    assert (values["samples_rejected"], values["samples_missed"]) == ("100", "0")
 
 
 @pytest.mark.parametrize(("kept", "jitter"), [(0.6, 0.0), (0.45, 0.02), (0.3, 0.0), (0.15, 0.02)])
@@ -436,11 +324,3 @@ def test_another_period_is_no_loss(life: Life, factor: float) -> None:
     first = life.missed(end + step * np.arange(1, count))
     assert first <= 2
     assert life.missed(end + step * np.arange(count, 2 * count)) == first
-
-
-def test_a_clock_that_jumps_back_is_told(life: Life) -> None:
-    life.run()
-    life.now -= 5 * SECOND
-    life.run()
-    values = life.report().values
-    assert (values["clock_jumps"], values["samples_rejected"], values["fault_code"]) == ("1", "0", "OK")

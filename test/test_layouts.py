@@ -3,7 +3,7 @@
 import json
 import re
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,8 +28,6 @@ from hd_diag.watch.state import PREFIX
 
 FOLDER = Path(__file__).resolve().parent.parent / "config"
 JOINT = "joint_1"
-TOPICS = {resolved(topic): kind for topic, kind in published_topics([JOINT]).items()}
-ARCSEC_PER_RADIAN = 206264.806
 
 
 class Made(NamedTuple):
@@ -50,8 +48,11 @@ class Made(NamedTuple):
         return self.panels[name if len(self.teeth) == 1 else f"{name}_{joint}"]
 
 
+def kinds_of(node: str, joints: Iterable[str]) -> dict[str, str]:
+    return {resolved(topic, node): kind for topic, kind in published_topics([*joints]).items()}
+
+
 def published(configured: Config, node: str) -> dict[str, Any]:
-    """A message of every topic of a node whose joints come in one message."""
     recording, joints = Recording(), [joint.name for joint in configured.joints]
     session = Session(configured, recording, node)
     session.start(START)
@@ -62,9 +63,7 @@ def published(configured: Config, node: str) -> dict[str, Any]:
         session.joint_state(START + i * MS, data)
     session.tick(START + 300 * MS, START + 300 * MS, {"log_state": "off", "latency_p99_us": "700"})
     found = {resolved(topic, node): rows[-1][1] for topic, rows in recording.topics().items()}
-    kinds = {resolved(topic, node): kind for topic, kind in published_topics(joints).items()}
-    assert kinds.keys() <= found.keys()
-    return {topic: jazzy().deserialize_cdr(found[topic], kind) for topic, kind in kinds.items()}
+    return {topic: jazzy().deserialize_cdr(found[topic], k) for topic, k in kinds_of(node, joints).items()}
 
 
 def layouts(folder: Path) -> tuple[Any, Any]:
@@ -74,7 +73,6 @@ def layouts(folder: Path) -> tuple[Any, Any]:
 
 @pytest.fixture(scope="module")
 def messages() -> dict[str, Any]:
-    """A message of every topic, as the node of the package's layouts publishes it."""
     return published(config(JOINT, mesh_rate=60.0, array_rate=100.0), "/hd_diag")
 
 
@@ -83,31 +81,22 @@ ARM |= {"elbow.gear.k1": 1.0e4, "elbow.gear.k2": 1.4e4, "elbow.gear.k3": 1.6e4}
 
 
 @pytest.fixture(scope="module", params=["package", "arm"])
-def made(
-    request: pytest.FixtureRequest, messages: dict[str, Any], tmp_path_factory: pytest.TempPathFactory
-) -> Made:
+def made(request, messages, tmp_path_factory) -> Made:
     """The package's layouts, and those made for two joints, one of them with other teeth."""
     if request.param == "package":
-        return Made("/hd_diag", {JOINT: 200}, messages, TOPICS, *layouts(FOLDER))
+        return Made("/hd_diag", {JOINT: 200}, messages, kinds_of("/hd_diag", [JOINT]), *layouts(FOLDER))
     folder, node = tmp_path_factory.mktemp("arm"), "/left/hd_diag"
     teeth = {"shoulder": 200, "elbow": 160}
     given = resolve({"joints": [*teeth], "mesh_rate": 20.0, "array_rate": 20.0, **ARM})
     (folder / "arm.yaml").write_text(dump(given))
     words = ("layout", "--config", folder / "arm.yaml", "--out", folder / "new", "--node", node)
     assert hd_diag(*words).exit_code == 0
-    topics = {resolved(topic, node): kind for topic, kind in published_topics([*teeth]).items()}
-    return Made(node, teeth, published(given, node), topics, *layouts(folder / "new"))
+    return Made(node, teeth, published(given, node), kinds_of(node, teeth), *layouts(folder / "new"))
 
 
 KINDS = {"3D", "Plot", "StateTransitions", "DiagnosticSummary", "DiagnosticStatusPanel", "RawMessages", "Tab"}
 # As in the message path syntax: a name, then an optional slice, then an optional filter.
 ELEMENT = re.compile(r'\.(\w+)(?:\[(\d*)(:?)(\d*)\])?(?:\{(\w+)=="([^"]*)"\})?')
-
-
-def paths_of(panels: dict[str, dict[str, Any]]) -> list[str]:
-    """Message paths of all panels."""
-    plotted = {path["value"] for panel in panels.values() for path in panel.get("paths", ())}
-    return sorted(plotted | {panel["topicPath"] for panel in panels.values() if "topicPath" in panel})
 
 
 def topic_of(path: str) -> str:
@@ -135,7 +124,6 @@ def chosen(messages: dict[str, Any], path: str) -> list[Any]:
 
 
 def panels_of(panels: dict[str, dict[str, Any]], node: Any) -> list[str]:
-    """Panels of a layout, those of tabs too."""
     if isinstance(node, str):
         tabs = panels[node].get("tabs", ())
         return [node, *(one for tab in tabs for one in panels_of(panels, tab["layout"]))]
@@ -144,17 +132,15 @@ def panels_of(panels: dict[str, dict[str, Any]], node: Any) -> list[str]:
     return panels_of(panels, node["first"]) + panels_of(panels, node["second"])
 
 
-def test_foxglove_layout_is_complete(made: Made) -> None:
+def test_foxglove_layout_is_complete_and_takes_something_from_real_messages(made: Made) -> None:
     assert set(made.foxglove) == {"configById", "globalVariables", "userNodes", "playbackConfig", "layout"}
     assert made.foxglove["globalVariables"] == made.foxglove["userNodes"] == {}
     assert {panel.split("!")[0] for panel in made.panels} <= KINDS
     assert sorted(panels_of(made.panels, made.foxglove["layout"])) == sorted(made.panels)
     if len(made.teeth) > 1:
         assert [tab["title"] for tab in made.panels[made.foxglove["layout"]]["tabs"]] == [*made.teeth]
-
-
-def test_foxglove_paths_take_something_from_real_messages(made: Made) -> None:
-    for path in paths_of(made.panels):
+    paths = {path["value"] for panel in made.panels.values() for path in panel.get("paths", ())}
+    for path in paths | {panel["topicPath"] for panel in made.panels.values() if "topicPath" in panel}:
         found = chosen(made.messages, path)
         assert found, f"{path} takes nothing"
         assert len(found) == 1 or topic_of(path) != "/diagnostics" or not path.endswith(".value"), path
@@ -174,8 +160,7 @@ def test_foxglove_plots_numbers_and_whole_flanks(made: Made) -> None:
             message = made.messages[f"{made.node}/{joint}/{what}"]
             paths = [path["value"] for path in made.panel(f"Plot!{what}", joint)["paths"]]
             parts = [chosen(made.messages, path) for path in paths]
-            assert [len(part) for part in parts] == [dim.size for dim in message.layout.dim[1:]] * 2
-            assert [len(part) for part in parts] == [teeth] * 2
+            assert [len(part) for part in parts] == [teeth] * 2 == [message.layout.dim[1].size] * 2
             assert [str(value) for part in parts for value in part] == [str(value) for value in message.data]
         errors = {path["value"] for path in made.panel("Plot!residual", joint)["paths"]}
         assert f"{made.node}/residual.position[{place}]" in errors
@@ -187,16 +172,15 @@ def test_foxglove_panels_find_each_joint_and_its_mesh_in_its_frame(made: Made) -
     for name, panel in made.panels.items():
         if name.startswith("Diagnostic"):
             assert made.topics[panel["topicToRender"]] == DIAGNOSTICS
-    shown, drawn = set(), set()
-    for joint in made.teeth:
-        status, panel = made.panel("DiagnosticStatusPanel!joint", joint), made.panel("3D!mesh", joint)
-        shown.add((status["selectedHardwareId"], status["selectedName"]))
+    statuses = [made.panel("DiagnosticStatusPanel!joint", joint) for joint in made.teeth]
+    assert {(each["selectedHardwareId"], each["selectedName"]) for each in statuses} == known
+    drawn = {joint: made.panel("3D!mesh", joint) for joint in made.teeth}
+    topics = {topic for panel in drawn.values() for topic in panel["topics"]}
+    assert topics == {topic for topic, kind in made.topics.items() if kind == MARKERS}
+    for joint, panel in drawn.items():
         (topic,) = panel["topics"]
-        drawn.add(topic)
         frames = {marker.header.frame_id for marker in made.messages[topic].markers}
         assert frames == {panel["followTf"]} == {joint}
-    assert shown == known
-    assert drawn == {topic for topic, kind in made.topics.items() if kind == MARKERS}
 
 
 NUMBER = re.compile(r"[-+]?[\d.]+(e[-+]?\d+)?|nan|-?inf")
@@ -218,10 +202,8 @@ def series(topic: str, message: Any) -> Iterator[str]:
 
 
 def test_plotjuggler_layout_has_the_parts_of_a_saved_one(made: Made) -> None:
-    root = made.plotjuggler
-    assert root.tag == "root"
-    (tabs,) = root.findall("tabbed_widget")
-    assert tabs.get("parent") == "main_window"
+    (tabs,) = made.plotjuggler.findall("tabbed_widget")
+    assert (made.plotjuggler.tag, tabs.get("parent")) == ("root", "main_window")
     assert len(tabs.findall("Tab")) == 3 * len(made.teeth)
     areas = len(tabs.findall("./Tab/Container/DockSplitter/DockArea/plot"))
     assert areas == len(list(tabs.iter("plot"))) == len(list(tabs.iter("DockArea"))) > 0
@@ -241,31 +223,25 @@ def test_plotjuggler_curves_are_those_of_real_messages(made: Made) -> None:
     assert computed.keys() <= curves
     for snippet in computed.values():
         assert snippet.findtext("linked_source") in known
-        factor = re.fullmatch(r"return value \* ([\d.]+)", snippet.findtext("function") or "")
-        assert factor
-        assert float(factor[1]) == ARCSEC_PER_RADIAN
+        assert snippet.findtext("function") == "return value * 206264.806"  # arcsec per radian
     topics = {snippet.findtext("linked_source") for snippet in computed.values()} | curves
     for topic, kind in made.topics.items():
-        assert (kind in (MARKERS, HEADERS)) != any(f"{name}/".startswith(f"{topic}/") for name in topics), (
-            topic
-        )
+        is_shown = any(f"{name}/".startswith(f"{topic}/") for name in topics)
+        assert is_shown == (kind not in (MARKERS, HEADERS)), topic
     for joint, teeth in made.teeth.items():
         places = {int(name[:-1].rpartition("[")[2]) for name in curves if f"/{joint}/load/" in name}
         assert places == {k * teeth // 2 for k in range(4)}
 
 
 def test_of_one_joint_the_made_layouts_are_those_of_the_package(tmp_path: Path) -> None:
+    """One that cannot be is told in a line."""
     assert hd_diag("layout", "--out", tmp_path).exit_code == 0
-    (panels, made), (own, given) = layouts(tmp_path), layouts(FOLDER)
+    (panels, *made), (own, *given) = layouts(tmp_path), layouts(FOLDER)
     assert panels == own
-    made, given = (ElementTree.canonicalize(ElementTree.tostring(r), strip_text=True) for r in (made, given))
-    assert made == given
-
-
-def test_a_layout_that_cannot_be_is_one_line(tmp_path: Path) -> None:
-    assert_one_line_error(
-        hd_diag("layout", "--out", tmp_path, "--node", "arm/<x>"), "expected the node's full name"
-    )
+    texts = [ElementTree.canonicalize(ElementTree.tostring(r), strip_text=True) for r in made + given]
+    assert texts[0] == texts[1]
+    result = hd_diag("layout", "--out", tmp_path, "--node", "arm/<x>")
+    assert_one_line_error(result, "expected the node's full name")
     (tmp_path / "file").touch()
     assert_one_line_error(hd_diag("layout", "--out", tmp_path / "file/in"), "cannot be made")
 
@@ -277,7 +253,7 @@ def test_rviz_shows_the_whole_mesh_with_its_legend_in_its_frame(messages: dict[s
     (display,) = RVIZ["Displays"]
     topic = display["Topic"]["Value"]
     assert display["Class"] == "rviz_default_plugins/MarkerArray"
-    assert TOPICS[topic] == MARKERS
+    assert kinds_of("/hd_diag", [JOINT])[topic] == MARKERS
     markers = messages[topic].markers
     assert {marker.header.frame_id for marker in markers} == {RVIZ["Global Options"]["Fixed Frame"]}
     assert {marker.ns: True for marker in markers} == display["Namespaces"]
@@ -306,8 +282,7 @@ def test_aggregator_shows_this_node_s_joints_alone(messages: dict[str, Any]) -> 
     assert ANALYZER["timeout"] > 2.0 / config(JOINT).diagnostics_rate
 
 
-@pytest.mark.parametrize(
-    "name", ["foxglove_layout.json", "plotjuggler_layout.xml", "rviz.rviz", "diagnostic_aggregator.yaml"]
-)
-def test_the_page_about_robots_names_every_layout(name: str) -> None:
-    assert f"config/{name}" in (FOLDER.parent / "docs" / "robot.md").read_text()
+def test_the_page_about_robots_names_every_layout() -> None:
+    page = (FOLDER.parent / "docs" / "robot.md").read_text()
+    for name in ("foxglove_layout.json", "plotjuggler_layout.xml", "rviz.rviz", "diagnostic_aggregator.yaml"):
+        assert f"config/{name}" in page

@@ -5,13 +5,12 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 from bag_samples import JOINT_STATE, rows
+from pool_tasks import wait_for
 from running import START_LIMIT, Process
 
 from hd_diag.bag import BagWriter
@@ -19,12 +18,10 @@ from hd_diag.config.configuration import dump, resolve
 from hd_diag.memory import give_back, is_memory, map_large_arrays
 from hd_diag.replay.preparation import changed_since
 
-SEVEN: dict[str, Any] = {
-    "joints": [f"joint_{k}" for k in range(1, 8)],
-    **{f"joint_{k}.eccentricity.magnitude": 1e-6 * k for k in range(1, 8)},
-    **{f"joint_{k}.runout.magnitude": 4e-6 for k in range(1, 8)},
-}
+SEVEN: dict = {"joints": [f"joint_{k}" for k in range(1, 8)]}
 """Seven drives whose maps repeat nowhere and that share none."""
+SEVEN |= {f"joint_{k}.eccentricity.magnitude": 1e-6 * k for k in range(1, 8)}
+SEVEN |= {f"joint_{k}.runout.magnitude": 4e-6 for k in range(1, 8)}
 
 
 VERB = """
@@ -40,7 +37,12 @@ print(Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0])
 """
 
 
-def replay(folder: Path, seconds: int, given: dict[str, Any]) -> float:
+def python(code: str, words: str = "", **how) -> list[str]:
+    command = [sys.executable, "-c", code, *words.split()]
+    return subprocess.run(command, capture_output=True, text=True, check=True, **how).stdout.splitlines()
+
+
+def replay(folder: Path, seconds: int, given: dict) -> float:
     """Most memory that a replay of joints at 1 kHz takes [MB]; it imports neither fits nor scipy.linalg."""
     config, size = resolve(given), 1000 * seconds
     names = [name for joint in config.joints for name in (joint.input_joint, joint.output_joint)]
@@ -48,10 +50,7 @@ def replay(folder: Path, seconds: int, given: dict[str, Any]) -> float:
     with BagWriter(folder / "a.mcap", chunk_size=64 << 20, flush_period=1e9) as writer:
         writer.write_many("/joint_states", JOINT_STATE, block, stamps)
     (folder / "a.yaml").write_text(dump(config))
-    given_files = [str(folder / name) for name in ("a.mcap", "a.yaml", "out.mcap")]
-    verb = [sys.executable, "-c", VERB, "replay", given_files[0], "--config", given_files[1], "--out"]
-    run = subprocess.run([*verb, given_files[2]], capture_output=True, text=True, check=True)
-    *_, imported, found = run.stdout.splitlines()
+    *_, imported, found = python(VERB, "replay a.mcap --config a.yaml --out out.mcap", cwd=folder)
     assert not imported
     return int(found) * 1.024e-3
 
@@ -63,15 +62,9 @@ def test_replay_of_a_joint(tmp_path: Path) -> None:
 @pytest.mark.slow  # 8 s: a whole diagnosis
 def test_a_diagnosis_without_a_search(tmp_path: Path) -> None:
     """Of 20 s at 500 Hz. What compiling took is given back before it: else 340 MB."""
-    verb = [sys.executable, "-c", VERB]
-    for words in (
-        "simulate --duration 20 --eccentricity-um 10 --out a.mcap",
-        "diagnose a.mcap --time-limit 0",
-    ):
-        run = subprocess.run(
-            [*verb, *words.split()], cwd=tmp_path, capture_output=True, text=True, check=True
-        )
-    assert int(run.stdout.split()[-1]) * 1.024e-3 < 300
+    python(VERB, "simulate --duration 20 --eccentricity-um 10 --out a.mcap", cwd=tmp_path)
+    found = python(VERB, "diagnose a.mcap --time-limit 0", cwd=tmp_path)[-1]
+    assert int(found) * 1.024e-3 < 300
 
 
 @pytest.mark.slow  # 10 s: seven maps, and blocks of all their columns
@@ -81,25 +74,16 @@ def test_replay_of_seven_drives_that_share_no_map(tmp_path: Path) -> None:
 
 @pytest.mark.slow  # 6 s: seven maps
 def test_a_node_with_seven_drives_that_share_no_map(tmp_path: Path) -> None:
-    parameters: dict[str, Any] = {"joints": SEVEN["joints"]}
-    for name, value in SEVEN.items():
-        if "." in name:
-            joint, group, key = name.split(".")
-            parameters.setdefault(joint, {})[group] = {key: value}
-    with Process(tmp_path, parameters) as node:
-        end = time.monotonic() + START_LIMIT
-        while node.output().count("map in force") < 7:
-            assert time.monotonic() < end, node.output()
-            time.sleep(0.1)
+    with Process(tmp_path, SEVEN) as node:
+        wait_for(lambda: node.output().count("map in force") == 7, START_LIMIT)
         status = Path(f"/proc/{node.popen.pid}/status").read_text()
         assert int(status.partition("VmHWM:")[2].split()[0]) * 1.024e-3 < 250
 
 
 def test_a_kernel_that_changed_is_compiled_apart_too(tmp_path: Path) -> None:
     """The node compiled it itself where an update left the one whose machine code is looked at."""
-    kernel = SimpleNamespace(
-        py_func=SimpleNamespace(__qualname__="read_1"), stats=SimpleNamespace(cache_path=str(tmp_path))
-    )
+    own, kept = SimpleNamespace(__qualname__="read_1"), SimpleNamespace(cache_path=str(tmp_path))
+    kernel = SimpleNamespace(py_func=own, stats=kept)
     (tmp_path / "k.read_1-9.py312.nbi").touch()
     assert not changed_since(kernel)
     os.utime(tmp_path / "k.read_1-9.py312.nbi", (0.0, 0.0))
@@ -121,8 +105,7 @@ print({each.py_func.__qualname__ for each in used ^ {*entry_points()}})
 
 def test_all_that_the_node_compiles_is_looked_for_before() -> None:
     """A diagnosis on a machine before its first node left some there: the node then compiled the others."""
-    run = subprocess.run([sys.executable, "-c", COMPILED], capture_output=True, text=True, check=True)
-    assert run.stdout == "set()\n"
+    assert python(COMPILED) == ["set()"]
 
 
 GIVEN_BACK = """
@@ -144,8 +127,7 @@ print(numba.njit(lambda x: x + 2)(1))
 
 def test_what_llvm_reads_from_its_file_is_given_back() -> None:
     """All but its tables of addresses, which are not as in the file; it works on."""
-    run = subprocess.run([sys.executable, "-c", GIVEN_BACK], capture_output=True, text=True, check=True)
-    before, after, result = map(int, run.stdout.split())
+    before, after, result = map(int, " ".join(python(GIVEN_BACK)).split())
     assert (before > 20_000, after < 4_000, result) == (True, True, 3)  # [kB]
 
 
@@ -175,34 +157,22 @@ print(resident() - before)
 
 def test_large_arrays_are_given_back_when_they_are_freed() -> None:
     """Seven of eight of 8 MiB each; without, one that is in use behind them keeps all."""
-    left = []
-    for mapped in (True, False):
-        code = [sys.executable, "-c", FREED.format(mapped=mapped)]
-        left.append(int(subprocess.run(code, capture_output=True, text=True, check=True).stdout))
-    assert left[0] < 10_000 < 60_000 < left[1]  # [kB]
+    mapped, usual = (int(python(FREED.format(mapped=mapped))[0]) for mapped in (True, False))
+    assert mapped < 10_000 < 60_000 < usual  # [kB]
 
 
-@pytest.mark.parametrize(
-    ("error", "is_so"),
-    [
-        (MemoryError(), True),
-        (OSError(errno.ENOMEM, os.strerror(errno.ENOMEM)), True),
-        (ImportError("libLLVM.so: failed to map segment from shared object"), True),
-        (RuntimeError("can't start new thread"), True),
-        (OSError(errno.ENOENT, os.strerror(errno.ENOENT)), False),
-        (ImportError("No module named 'x'"), False),
-    ],
-)
+LACKS = [MemoryError(), OSError(errno.ENOMEM, "no memory"), RuntimeError("can't start new thread")]
+LACKS += [ImportError("libLLVM.so: failed to map segment from shared object")]
+OTHERS = [OSError(errno.ENOENT, "no such file"), ImportError("No module named 'x'")]
+
+
+@pytest.mark.parametrize(("error", "is_so"), [*((e, True) for e in LACKS), *((e, False) for e in OTHERS)])
 def test_a_lack_of_memory_is_known_in_all_its_forms(error: Exception, is_so: bool) -> None:
     """Also where it is the cause of another error, as of an import that fails."""
     wrapped = ImportError("numpy's own words")
     wrapped.__cause__ = error
     assert (is_memory(error), is_memory(wrapped)) == (is_so, is_so)
-
-
-def test_an_error_that_comes_from_itself_is_looked_at_once() -> None:
-    """Two that were raised again, each while the other was handled."""
-    one, other = ValueError("one"), ValueError("other")
+    one, other = ValueError("one"), ValueError("other")  # each was raised again while the other was handled
     one.__context__, other.__context__ = other, one
     assert not is_memory(one)
 
@@ -211,11 +181,8 @@ def test_an_error_that_comes_from_itself_is_looked_at_once() -> None:
 def test_a_library_out_of_memory_is_one_line(ended: str) -> None:
     """Its own words are not shown: OpenBLAS leaves with 1 and three lines, the loader with 127."""
     code = f"from hd_diag.memory import watch_limit; import os; watch_limit(); os.write(2, b'words'); {ended}"
-    assert limited(20_000_000, "-c", code) == (
-        2,
-        "",
-        "hd-diag: there is not enough memory: ulimit -v is 20000000 kB\n",
-    )
+    said = "hd-diag: there is not enough memory: ulimit -v is 20000000 kB\n"
+    assert limited(20_000_000, "-c", code) == (2, "", said)
 
 
 def test_what_ends_of_itself_below_a_limit_ends_as_without() -> None:
@@ -236,9 +203,6 @@ def test_a_limit_of_memory_ends_in_a_result_or_one_line(limit: int, tmp_path: Pa
 
 
 def limited(limit: int, *words: str) -> tuple[int, str, str]:
-    """Outcome of Python in a limited address space [kB]."""
-    code = f'ulimit -v {limit}; exec "$0" "$@"'
-    run = subprocess.run(
-        ["bash", "-c", code, sys.executable, *words], capture_output=True, text=True, check=False
-    )
+    command = ["bash", "-c", f'ulimit -v {limit}; exec "$0" "$@"', sys.executable, *words]
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
     return run.returncode, run.stdout, run.stderr

@@ -1,39 +1,33 @@
 """All joints while they run: what they publish, and what cannot be used."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from live import MS, OTHER_TWO, START, TWO, config, map_of_two, states
 from numpy.testing import assert_array_equal
 
+from hd_diag.config.configuration import ConfigError
 from hd_diag.drive import transmission_error
 from hd_diag.messages.publications import encode
 from hd_diag.monitor.all_joints import Monitor
-from hd_diag.monitor.publications import Drawings, Publication, ToothArrays
+from hd_diag.monitor.publications import Angles, Drawings, ToothArrays
 from hd_diag.replay.map_builder import map_of
 from hd_diag.streams.columns import JointStates
 
 SAME = "; where stamps stay the same, `stamp: reception` takes the time of reception"
-EVERYTHING = ("a_motor", "a", "b_motor", "b")
 
 
-def run(monitor: Monitor, states_: JointStates, first: int = START) -> list[Publication]:
-    return monitor.mixed_states(first + np.arange(states_.stamp.size), (states_,))
+ERROR = "~/transmission_error"
 
 
-def found(publications: list[Publication], topic: str) -> list[Any]:
-    return [p for p in publications if p.topic == topic]
+def run(monitor: Monitor, given: JointStates, topic: str = "") -> list:
+    published = monitor.mixed_states(START + np.arange(given.stamp.size), (given,))
+    return [each for each in published if topic in ("", each.topic)]
 
 
 def test_residual_needs_an_output_angle() -> None:
     published = run(Monitor(TWO), states(("a_motor", "b_motor", "b"), [START], [[0.1, 0.2, 0.0]]))
-    assert found(published, "~/transmission_error")[0].names == ("a", "b")
-    assert found(published, "~/measured_transmission_error")[0].names == ("b",)
-    assert found(published, "~/residual")[0].names == ("b",)
-
-
-# Rates ---
+    names = {each.topic: each.names for each in published if isinstance(each, Angles)}
+    assert names == {ERROR: ("a", "b"), "~/measured_transmission_error": ("b",), "~/residual": ("b",)}
 
 
 def test_arrays_and_drawings_come_at_their_rates_by_stamps() -> None:
@@ -64,11 +58,8 @@ def test_four_joints_at_a_time_take_turns_with_their_arrays() -> None:
     assert at_once[1:].count(4) in (7, 8)
 
 
-# Configuration and maps ---
-
-
 def predicted(monitor: Monitor, stamp: int, angle: float = 0.4) -> float:
-    (error,) = found(run(monitor, states(("a_motor",), [stamp], [[angle]])), "~/transmission_error")
+    (error,) = run(monitor, states(("a_motor",), [stamp], [[angle]]), ERROR)
     return float(error.position[0, 0])
 
 
@@ -101,10 +92,10 @@ def test_drives_side_by_side_give_each_its_own_error_to_the_last_bit() -> None:
     torque = np.linspace(-150.0, 150.0, 24).reshape(8, 3)[::-1]
     position, effort = np.repeat(angle, 2, axis=1), np.repeat(torque, 2, axis=1)
     stamp = (START + MS * np.arange(8)).tolist()
-    published = run(monitor, states(names, stamp[:6], position[:6], effort[:6]))
-    for row in (6, 7):
-        published += run(monitor, states(names, stamp[row:][:1], position[row:][:1], effort[row:][:1]))
-    errors = np.concatenate([each.position for each in found(published, "~/transmission_error")])
+    published = []
+    for rows in (slice(6), slice(6, 7), slice(7, 8)):
+        published += run(monitor, states(names, stamp[rows], position[rows], effort[rows]), ERROR)
+    errors = np.concatenate([each.position for each in published])
     assert max(abs(torque[:, 0])) > map_of_two().torque_limit
     for number, joint in enumerate(given):
         alone = transmission_error(joint.drive, angle[:, number], torque[:, number], tables[joint.name])
@@ -116,22 +107,21 @@ def test_a_tilt_acts_on_the_next_sample() -> None:
     monitor = Monitor(config("a", **wide))
     for number, tilt in enumerate(({}, {"a__tilt__magnitude": 1e-3, "a__tilt__direction": 0.7})):
         monitor.configure(config("a", **wide, **tilt))
-        drive = config("a", **wide, **tilt).joints[0].drive
+        drive = monitor.config.joints[0].drive
         expected = transmission_error(drive, np.array([0.4]), np.zeros(1))[0]
         assert predicted(monitor, START + number * MS) == expected
+    with pytest.raises(ConfigError, match="strikes the circular spline"):
+        config("a", **wide, a__tilt__magnitude=0.09)
 
 
 def test_other_names_begin_the_stream_anew() -> None:
     monitor = Monitor(TWO)
     predicted(monitor, START)
     monitor.configure(config("a", "b", a__input_joint="elbow"))
-    (error,) = found(run(monitor, states(("elbow",), [START - 5], [[0.4]])), "~/transmission_error")
+    (error,) = run(monitor, states(("elbow",), [START - 5], [[0.4]]), ERROR)
     assert error.names == ("a",)
     assert not run(monitor, states(("a_motor",), [START + MS], [[0.4]]))
     assert monitor.streams.foreign == 1
-
-
-# What cannot be used ---
 
 
 @pytest.mark.parametrize(
@@ -145,14 +135,8 @@ def test_other_names_begin_the_stream_anew() -> None:
         (states(("a_motor", "a"), [START], [[0.1, 0.1]], [[0, np.nan]]), "effort of a is nan"),
         (states(("a_motor",), [START - MS], [[0.1]]), f"stamp of a_motor repeats the last{SAME}"),
         (states(("a",), [START - MS], [[0.1]]), f"stamp of a repeats the last{SAME}"),
-        (
-            states(("a_motor",), [START - 251 * MS], [[0.1]]),
-            "stamp of a_motor is 0.250000 s before the last",
-        ),
-        (
-            states(("a_motor", "b"), [START], None, None),
-            "the message names the joint and gives no position of it",
-        ),
+        (states(("a_motor",), [START - 251 * MS], [[0.1]]), "stamp of a_motor is 0.250000 s before the last"),
+        (states(("a_motor", "b"), [START], None), "the message names the joint and gives no position of it"),
     ],
 )
 def test_what_cannot_be_used_is_counted_with_its_reason(made: JointStates, reason: str) -> None:
@@ -166,32 +150,26 @@ def test_what_cannot_be_used_is_counted_with_its_reason(made: JointStates, reaso
 
 def test_one_bad_joint_leaves_the_others_and_strangers_are_counted_apart() -> None:
     monitor = Monitor(TWO)
-    published = run(monitor, states(EVERYTHING, [START], [[np.nan, 0, 0.1, 0]], [[0, 0, 0, 0]]))
-    assert found(published, "~/transmission_error")[0].names == ("b",)
+    names = ("a_motor", "a", "b_motor", "b")
+    (error,) = run(monitor, states(names, [START], [[np.nan, 0, 0.1, 0]], [[0, 0, 0, 0]]), ERROR)
+    assert error.names == ("b",)
     assert not run(monitor, states(("x", "y"), [START, START + MS], [[1, 2], [3, 4]]))
     assert monitor.streams.foreign == 2
     monitor.temperature("b", 40.0)
     monitor.temperature("b", np.nan)
-    assert [joint.rejected for joint in monitor.joints.values()] == [1, 1]
-    assert (monitor.joints["b"].temperature, monitor.joints["b"].last_rejection) == (
-        40.0,
-        "temperature is nan",
-    )
+    a, b = monitor.joints.values()
+    assert (a.rejected, b.rejected, b.temperature, b.last_rejection) == (1, 1, 40.0, "temperature is nan")
 
 
 def test_an_unbearable_torque_gives_nan_not_an_end() -> None:
     monitor = Monitor(TWO)
-    (error,) = found(
-        run(monitor, states(("a_motor", "a"), [START], [[0.1, 0]], [[0, 9e5]])), "~/transmission_error"
-    )
+    (error,) = run(monitor, states(("a_motor", "a"), [START], [[0.1, 0]], [[0, 9e5]]), ERROR)
     assert error.position.shape == (1, 1)
-    report = monitor.tick(START, START, {})
-    assert report.statuses[0].values["fault_code"] == "OUT_OF_RANGE"
+    assert monitor.tick(START, START, {}).statuses[0].values["fault_code"] == "OUT_OF_RANGE"
 
 
 def test_limits_of_time() -> None:
-    """The first and the last stamp that a ROS time can hold."""
     monitor = Monitor(TWO)
     for stamp in (-(2**31) * 1_000_000_000, 2**31 * 1_000_000_000 - 1):
-        published = run(monitor, states(("a_motor",), [stamp], [[0.1]]))
-        assert len(encode(found(published, "~/transmission_error")[0]).rows) == 1
+        (error,) = run(monitor, states(("a_motor",), [stamp], [[0.1]]), ERROR)
+        assert len(encode(error).rows) == 1

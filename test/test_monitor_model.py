@@ -1,20 +1,17 @@
 """Joints that run by an extended model: live, replayed and fitted alike; their diagnostics."""
 
 import dataclasses
-import itertools
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from live import MS, RATIO, START, config, message, states
-from logs import Log, content
+from logs import Log, replayed
 from models import OFFSET, RANGES, VALUES, motion, write_model
 from numpy.testing import assert_allclose, assert_array_equal
+from player import angles
 
-from hd_diag.bag import BagReader
 from hd_diag.config.configuration import Config, ConfigError
 from hd_diag.diagnosis.extension import running_residual
 from hd_diag.drive import transmission_error
@@ -22,7 +19,6 @@ from hd_diag.extended_model import ExtendedModel
 from hd_diag.messages.publications import read_string
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.monitor.all_joints import Monitor
-from hd_diag.monitor.publications import Angles
 from hd_diag.monitor.residual_orders import ORDERS
 from hd_diag.records.joint_record import read_bags
 from hd_diag.replay.map_builder import map_of
@@ -34,6 +30,8 @@ AGREEMENT = 1e-9  # [rad]
 NAMES = ("joint_1_motor", "joint_1")
 EFFECTS = tuple(name for name in VALUES if name != "thermal_drift")
 COUNT = 400
+TIME, ANGLE, TORQUE, _ = motion(COUNT)
+STAMPS = START + np.round(TIME * 1e9).astype(np.int64)
 FACTS = {"log_state": "off"}
 
 
@@ -50,139 +48,80 @@ def modelled(model_path: Path) -> Config:
 @pytest.fixture
 def light(tmp_path: Path) -> Config:
     path = write_model(tmp_path / "light.json", "viscous_windup")
-    overlap = dict.fromkeys(("joint_1__limits__overlap__warn", "joint_1__limits__overlap__error"), 1e-3)
+    overlap = {f"joint_1__limits__overlap__{level}": 1e-3 for level in ("warn", "error")}
     return config(joint_1__model_file=str(path), **overlap)
 
 
-def stamps(count: int = COUNT) -> np.ndarray:
-    return START + np.round(motion(count)[0] * 1e9).astype(np.int64)
-
-
-def columns(count: int = COUNT, velocity: bool = False, model: ExtendedModel | None = None) -> JointStates:
+def columns(velocity: bool = False, model: ExtendedModel | None = None) -> JointStates:
     """Messages of a moving joint; its output is as a model predicts it."""
-    _, angle, torque, heat = motion(count)
-    time = stamps(count)
-    seconds = (time - START) * 1e-9
-    error = 1e-4 * np.cos(2.0 * angle)
+    seconds = (STAMPS - START) * 1e-9
+    error = 1e-4 * np.cos(2.0 * ANGLE)
     if model is not None:
-        error, _ = model.step(model.start(), seconds, angle, None, torque, 0.0 * heat + 30.0)
-    output = angle / RATIO + error
-    speed = np.gradient(angle, seconds)
+        error, _ = model.step(model.start(), seconds, ANGLE, None, TORQUE, np.full(COUNT, 30.0))
+    speed = np.gradient(ANGLE, seconds)
     speed[::5] = np.nan
-    return states(
-        NAMES,
-        time,
-        np.stack((angle, output), 1),
-        np.stack((np.zeros(count), torque), 1),
-        np.stack((speed, speed / RATIO), 1) if velocity else None,
-    )
+    speeds = np.stack((speed, speed / RATIO), 1) if velocity else None
+    position = np.stack((ANGLE, ANGLE / RATIO + error), 1)
+    return states(NAMES, STAMPS, position, np.stack((0.0 * TORQUE, TORQUE), 1), speeds)
 
 
-def rows(all_rows: JointStates, at: slice) -> JointStates:
-    columns = (all_rows.position, all_rows.velocity, all_rows.effort, all_rows.signals)
-    parts = [None if c is None else c[at] for c in columns]
-    return JointStates(all_rows.row[at], all_rows.stamp[at], all_rows.names, "", *parts)
-
-
-def errors(monitor: Monitor, messages: JointStates, cuts: list[int], topic: str) -> np.ndarray:
+def errors(monitor: Monitor, messages: JointStates, step: int = COUNT) -> np.ndarray:
     found = []
-    for low, high in itertools.pairwise([0, *cuts, messages.stamp.size]):
-        part = rows(messages, slice(low, high))
-        for publication in monitor.mixed_states(part.stamp + 5, (part,)):
-            if isinstance(publication, Angles) and publication.topic == topic:
-                found.append(publication.position[:, 0])
+    for low in range(0, messages.stamp.size, step):
+        part = messages.between(low, low + step)
+        published = monitor.mixed_states(part.stamp + 5, (part,))
+        found += [each.position[:, 0] for each in published if each.topic == "~/transmission_error"]
     return np.concatenate(found)
-
-
-def model_of(given: Config) -> ExtendedModel:
-    model = given.joints[0].model
-    assert model is not None
-    return model
-
-
-# Predictions ---
 
 
 @pytest.mark.parametrize("velocity", [False, True], ids=["angles", "velocity"])
 def test_predictions_are_the_models(modelled: Config, velocity: bool) -> None:
-    messages, model = columns(velocity=velocity), model_of(modelled)
-    assert messages.position is not None
-    assert messages.effort is not None
-    speed = None if messages.velocity is None else messages.velocity[:, 0]
-    expected, _ = model.step(
-        model.start(),
-        (messages.stamp - START) * 1e-9,
-        messages.position[:, 0],
-        speed,
-        messages.effort[:, 1],
-    )
-    found = errors(Monitor(modelled), messages, [], "~/transmission_error")
+    messages, model = columns(velocity=velocity), modelled.joints[0].model
+    speed = messages.velocity[:, 0] if velocity else None
+    expected, _ = model.step(model.start(), (STAMPS - START) * 1e-9, ANGLE, speed, TORQUE)
+    found = errors(Monitor(modelled), messages)
     assert_allclose(found, expected, rtol=0.0, atol=AGREEMENT)
-    own = transmission_error(model.drive, messages.position[:, 0], messages.effort[:, 1])
-    assert np.std(found - own) > 10.0 * ARCSEC
-
-
-def test_the_map_is_of_the_refitted_mesh(modelled: Config) -> None:
-    monitor = Monitor(modelled)
-    assert not monitor.use_map("joint_1", map_of(config().joints[0]))
-    assert monitor.use_map("joint_1", map_of(modelled.joints[0]))
-    monitor.configure(config())
-    assert monitor.joints["joint_1"].table is None
+    assert np.std(found - transmission_error(model.drive, ANGLE, TORQUE)) > 10.0 * ARCSEC
 
 
 def test_a_model_restarts_with_the_stream_and_changes_at_once(modelled: Config, tmp_path: Path) -> None:
     """After a clock that was set back the same messages give the same again."""
-    messages, monitor, topic = columns(200), Monitor(modelled), "~/transmission_error"
-    first = errors(monitor, messages, [], topic)
+    messages, monitor = columns().between(0, 200), Monitor(modelled)
+    first = errors(monitor, messages)
     again = messages._replace(stamp=messages.stamp - 3600 * 10**9)
-    assert_array_equal(errors(monitor, again, list(range(1, 200)), topic), first)
+    assert_array_equal(errors(monitor, again, step=1), first)
     other = config(joint_1__model_file=str(write_model(tmp_path / "other.json", "hysteresis")))
     monitor.configure(other)
-    assert_array_equal(errors(monitor, messages, [], topic), errors(Monitor(other), messages, [], topic))
+    assert_array_equal(errors(monitor, messages), errors(Monitor(other), messages))
 
 
 def test_outputs_that_come_apart_have_a_stream_of_their_own(modelled: Config) -> None:
     """Their predictions are the model's along the outputs' stamps, whatever the inputs in between."""
-    monitor, model = Monitor(modelled), model_of(modelled)
-    _, angle, torque, _ = motion(400)
-    stamp = stamps(400)
-    found, predicted_at_inputs = [], []
-    for i in range(0, 400, 2):
+    monitor, model, published = Monitor(modelled), modelled.joints[0].model, []
+    for i in range(0, COUNT, 2):
         if i:
-            middle = states(NAMES[1:], [stamp[i - 1]], [[angle[i - 1] / RATIO]], [[torque[i - 1]]])
-            monitor.mixed_states(stamp[i - 1 : i], (middle,))
-        given = (states(NAMES[:1], [stamp[i]], [[angle[i]]]),)
-        for publication in monitor.mixed_states(stamp[i : i + 1], given):
-            if publication.topic == "~/residual":
-                found.append(publication)
-            if publication.topic == "~/transmission_error":
-                predicted_at_inputs.append(publication)
+            middle = states(NAMES[1:], [STAMPS[i - 1]], [[ANGLE[i - 1] / RATIO]], [[TORQUE[i - 1]]])
+            monitor.mixed_states(STAMPS[i - 1 : i], (middle,))
+        given = (states(NAMES[:1], [STAMPS[i]], [[ANGLE[i]]]),)
+        published += monitor.mixed_states(STAMPS[i : i + 1], given)
+    found = [each for each in published if each.topic == "~/residual"]
     at = np.array([p.stamp.item() for p in found])
-    even = np.arange(0, 400, 2)
-    between = np.interp((at - START).astype(float), (stamp[even] - START).astype(float), angle[even])
-    load = torque[1:399:2]
-    expected, _ = model.step(model.start(), (at - at[0]) * 1e-9, between, None, load)
-    measured = angle[1:399:2] / RATIO - between / RATIO
+    between = np.interp((at - START).astype(float), (STAMPS[::2] - START).astype(float), ANGLE[::2])
+    expected, _ = model.step(model.start(), (at - at[0]) * 1e-9, between, None, TORQUE[1:399:2])
+    measured = ANGLE[1:399:2] / RATIO - between / RATIO
     residual = np.array([p.position.item() for p in found])
     assert_allclose(measured - residual, expected, rtol=0.0, atol=AGREEMENT)
-    assert len(predicted_at_inputs) == 200
+    assert sum(each.topic == "~/transmission_error" for each in published) == 200
 
 
-# Live, replay, fit ---
+def play(log: Log, session: Session, last: int, first: int = 0) -> None:
+    for i in range(first, last):
+        position = {NAMES[0]: ANGLE[i], NAMES[1]: ANGLE[i] / RATIO + OFFSET}
+        log.receive(session, message(int(STAMPS[i]), position, {NAMES[1]: TORQUE[i]}))
 
 
-def play(log: Log, session: Session, count: int, first: int = 0) -> None:
-    _, angle, torque, _ = motion(COUNT)
-    stamp = stamps().tolist()
-    for i in range(first, count):
-        position = {NAMES[0]: angle[i], NAMES[1]: angle[i] / RATIO + OFFSET}
-        log.receive(session, message(stamp[i], position, {NAMES[1]: torque[i]}))
-
-
-def residuals(path: Path) -> np.ndarray:
-    with BagReader(path) as reader:
-        every = [reader.joint_states(batch)[0] for batch in reader.batches(["/hd_diag/residual"])]
-    return np.concatenate([c.position[:, 0] for part in every for c in part])
+def events(log: Path) -> list[dict]:
+    return [json.loads(read_string(data)) for _, data in replayed(log)["/hd_diag/events"]]
 
 
 @pytest.mark.parametrize("mapped", [False, True], ids=["exact", "map"])
@@ -198,22 +137,15 @@ def test_live_replay_and_fit_agree(modelled: Config, model_path: Path, tmp_path:
     log.writer.close()
     text = model_path.read_text()
     model_path.unlink()
-    replay(tmp_path / "live.mcap", tmp_path / "again.mcap")
-    assert content(tmp_path / "again.mcap") == content(tmp_path / "live.mcap")
-    (first, *_) = content(tmp_path / "live.mcap")["/hd_diag/events"]
-    assert json.loads(read_string(first[1]))["models"] == {"joint_1": text}
-
-    joint = modelled.joints[0]
-    record = read_bags([tmp_path / "live.mcap"], joint)
+    assert events(tmp_path / "live.mcap")[0]["models"] == {"joint_1": text}
+    record, model = read_bags([tmp_path / "live.mcap"], modelled.joints[0]), modelled.joints[0].model
     assert record.size == COUNT
-    model = model_of(modelled)
     fit = running_residual(model, record, record.reported_torque, model.torsion_map if mapped else None)
-    assert_allclose(residuals(tmp_path / "live.mcap"), fit, rtol=0.0, atol=AGREEMENT)
+    residual = [value for _, (value, *_) in angles(tmp_path / "live.mcap", "/hd_diag/residual")]
+    assert_allclose(residual, fit, rtol=0.0, atol=AGREEMENT)
 
 
-def test_a_model_that_changes_while_it_runs_is_replayed(
-    modelled: Config, model_path: Path, tmp_path: Path
-) -> None:
+def test_a_model_that_changes_while_it_runs_is_replayed(modelled, model_path: Path, tmp_path: Path) -> None:
     log = Log(tmp_path / "live.mcap")
     session = Session(config(), log)
     session.start(next(log.clock))
@@ -231,12 +163,9 @@ def test_a_model_that_changes_while_it_runs_is_replayed(
     session.start_again(next(log.clock))
     log.writer.close()
     model_path.unlink()
-    replay(tmp_path / "live.mcap", tmp_path / "again.mcap")
-    assert content(tmp_path / "again.mcap") == content(tmp_path / "live.mcap")
-    events = [json.loads(read_string(data)) for _, data in content(tmp_path / "live.mcap")["/hd_diag/events"]]
-    assert ["models" in event for event in events] == [False, True, False, True, False, False, False]
-    assert events[3]["parameters"] == {}
-    assert events[-1]["event"] == "state"
+    found = events(tmp_path / "live.mcap")
+    assert ["models" in event for event in found] == [False, True, False, True, False, False, False]
+    assert (found[3]["parameters"], found[-1]["event"]) == ({}, "state")
 
 
 def test_a_log_without_its_model_is_refused(modelled: Config, model_path: Path, tmp_path: Path) -> None:
@@ -251,61 +180,38 @@ def test_a_log_without_its_model_is_refused(modelled: Config, model_path: Path, 
         replay(tmp_path / "live.mcap", tmp_path / "again.mcap")
 
 
-# Diagnostics ---
-
-
-def told(monitor: Monitor, messages: JointStates) -> Any:
+def told(monitor: Monitor, messages: JointStates):
     monitor.mixed_states(messages.stamp + 5, (messages,))
     return monitor.tick(int(messages.stamp[-1]) + 6, START, FACTS).statuses[0]
 
 
-def test_diagnostics_name_the_model(modelled: Config, model_path: Path) -> None:
-    values = told(Monitor(modelled), columns(100)).values
-    assert values["model"].startswith(f"{model_path} sha256:")
-    assert values["model_effects"] == ", ".join(EFFECTS)
-    assert float(values["eccentricity_um"]) == pytest.approx(9.0)
-    values = told(Monitor(config()), columns(100)).values
-    assert (values["model"], values["model_effects"]) == ("", "")
+SPIKES = np.where(np.arange(COUNT) % 50, 1.0, 10.0)[:, None]
 
 
 @pytest.mark.parametrize(
-    ("change", "text"),
+    ("change", "heat", "text"),
     [
-        (lambda m: m, None),
-        (lambda m: m._replace(effort=m.effort * np.where(np.arange(COUNT) % 50, 1.0, 10.0)[:, None]), None),
-        (lambda m: m._replace(effort=m.effort * 1.6), "torque"),
-        (lambda m: m._replace(stamp=START + (m.stamp - START) // 2), "speed"),
+        (lambda m: m, 30.0, None),
+        (lambda m: m._replace(effort=m.effort * SPIKES), 30.0, None),
+        (lambda m: m._replace(effort=m.effort * 1.6), 30.0, "torque "),
+        (lambda m: m._replace(stamp=START + (m.stamp - START) // 2), 30.0, "speed "),
+        (lambda m: m, 44.0, "temperature 44"),
+        (lambda m: m, None, "temperature is not reported"),
     ],
-    ids=["inside", "single samples are noise", "torque", "speed"],
+    ids=["inside", "single samples are noise", "torque", "speed", "heat", "no temperature"],
 )
-def test_outside_its_range_the_diagnostics_say_so(
-    modelled: Config, change: Callable[[JointStates], JointStates], text: str | None
-) -> None:
-    status = told(Monitor(modelled), change(columns(model=model_of(modelled))))
-    assert ("OUT_OF_RANGE" in status.values["fault_codes"]) == (text is not None)
-    if text:
-        told_first = status.message.startswith(f"outside the model's valid range: {text} ")
-        assert told_first or status.level == 2
-    plain = told(Monitor(config()), change(columns()))
-    assert "OUT_OF_RANGE" not in plain.values["fault_codes"]
-
-
-@pytest.mark.parametrize(
-    ("heat", "text"), [(30.0, None), (44.0, "temperature 44"), (None, "temperature is not reported")]
-)
-def test_temperature_out_of_range(tmp_path: Path, heat: float | None, text: str | None) -> None:
+def test_outside_its_range_the_diagnostics_say_so(change, heat, text, tmp_path: Path) -> None:
     given = config(joint_1__model_file=str(write_model(tmp_path / "warm.json", "thermal_drift")))
-    monitor = Monitor(given)
+    monitor, messages = Monitor(given), change(columns(model=given.joints[0].model))
     if heat is not None:
         monitor.temperature("joint_1", heat)
-    status = told(monitor, columns(model=model_of(given)))
-    assert (status.values["fault_code"] == "OUT_OF_RANGE") == (text is not None)
-    assert text is None or text in status.message
+    status = told(monitor, messages)
+    assert ("OUT_OF_RANGE" in status.values["fault_codes"]) == (text is not None)
+    assert text is None or status.message.startswith(f"outside the model's valid range: {text}")
+    assert "OUT_OF_RANGE" not in told(Monitor(config()), change(columns())).values["fault_codes"]
 
 
-def grown(
-    model: ExtendedModel, count: int, order: float, amplitude: float, frame: str = "input"
-) -> JointStates:
+def grown(model: ExtendedModel, count, order, amplitude, frame="input") -> JointStates:
     """Messages of a joint that is as the model says, but for one order."""
     time = 2e-3 * np.arange(count)
     angle, torque = 40.0 * time, 20.0 * np.sin(1.1 * time)
@@ -319,7 +225,7 @@ def grown(
 @pytest.mark.parametrize(("frame", "order"), [one for one in ORDERS if one[1] < 4])
 def test_an_order_that_grew_is_a_residual(light: Config, frame: str, order: int) -> None:
     count = 9000 if frame == "output" else 4500
-    messages = grown(model_of(light), count, order, 20.0 * ARCSEC, frame)
+    messages = grown(light.joints[0].model, count, order, 20.0 * ARCSEC, frame)
     status = told(Monitor(light), messages)
     assert status.values["residual_order"] == f"{frame} {order}"
     assert float(status.values["residual_order_amplitude_arcsec"]) == pytest.approx(20.0, rel=0.02)
@@ -329,7 +235,7 @@ def test_an_order_that_grew_is_a_residual(light: Config, frame: str, order: int)
 
 
 def test_as_fitted_no_order_has_grown(light: Config) -> None:
-    status = told(Monitor(light), grown(model_of(light), 4500, 2.0, 0.0))
+    status = told(Monitor(light), grown(light.joints[0].model, 4500, 2.0, 0.0))
     assert float(status.values["residual_order_amplitude_arcsec"]) < 0.01
     assert status.values["fault_code"] == "OK"
 

@@ -5,8 +5,6 @@ import itertools
 import json
 import os
 import pty
-import random
-import resource
 import select
 import signal
 import subprocess
@@ -17,8 +15,8 @@ from pathlib import Path
 
 import pytest
 from cli_runner import hd_diag
-from live import MS, START, message, parameters
-from logs import content
+from live import MS, START, parameters, with_log
+from logs import content, whole
 from player import Player
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
@@ -39,11 +37,8 @@ IDLE = "keeping the last 60 s"
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     folder = tmp_path_factory.mktemp("recorded")
-    log = {"path": str(folder / "log"), "mode": "snapshot", "before": 60.0, "after": 0.3, "topics": "inputs"}
-    given = parameters(
-        diagnostics_rate=10.0, use_sim_time=True, **{f"log.{name}": value for name, value in log.items()}
-    )
-    with running(folder, given) as rig:
+    given = with_log(folder / "log", mode="snapshot", before=60.0, after=0.3, topics="inputs")
+    with running(folder, given | {"use_sim_time": True}) as rig:
         rig.values("joint_1", lambda values: values["prediction"] == "map")
         rig.log = folder / "log"  # type: ignore[attr-defined]
         yield rig
@@ -52,15 +47,20 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
 @pytest.fixture(scope="module")
 def player(rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Player:
     bag = tmp_path_factory.mktemp("simulated") / "joint.mcap"
-    assert (
-        hd_diag("simulate", "--out", bag, "--duration", 6, "--rate", 250, "--eccentricity-um", 18).exit_code
-        == 0
-    )
+    words = ("simulate", "--out", bag, "--duration", 6, "--rate", 250, "--eccentricity-um", 18)
+    assert hd_diag(*words).exit_code == 0
     return Player(rig, bag)
 
 
 def state(rig: Rig, key: str, text: str) -> dict[str, str]:
     return rig.values("joint_1", lambda values: values[key].startswith(text))
+
+
+def asked(rig: Rig, service: str, *kind: type, **fields: bool) -> str:
+    """Where what a service is asked for lies."""
+    ok, said = rig.call(service, *kind, **fields)
+    assert ok, said
+    return said
 
 
 def test_a_snapshot_holds_what_was_before_it_and_replays(rig: Rig, player: Player, tmp_path: Path) -> None:
@@ -71,16 +71,14 @@ def test_a_snapshot_holds_what_was_before_it_and_replays(rig: Rig, player: Playe
     log: Path = rig.log  # type: ignore[attr-defined]
     rig.until(log.exists, "snapshot of a fault")  # RESIDUAL, or else STALE
     state(rig, "log_state", IDLE)
-    taken = rig.call("snapshot")
-    assert taken[0], taken
+    taken = asked(rig, "snapshot")
     state(rig, "log_state", IDLE)
-    assert Path(taken[1]).is_dir()
+    assert Path(taken).is_dir()
     counted, topic = 0, f"{rig.process.namespace}/joint_states"
     bags = sorted(log.iterdir())
     assert len(bags) >= 2
     for number, bag in enumerate(bags):
-        with BagReader(bag) as reader:
-            assert not reader.problems
+        whole(bag)
         replay(bag, tmp_path / f"{number}.mcap")
         logged, again = content(bag), content(tmp_path / f"{number}.mcap")
         counted += len(logged.get(topic, []))
@@ -89,16 +87,14 @@ def test_a_snapshot_holds_what_was_before_it_and_replays(rig: Rig, player: Playe
 
 
 def test_a_log_is_begun_and_ended(rig: Rig, player: Player) -> None:
-    begun = rig.call("start_log")
-    assert begun[0], begun
-    assert state(rig, "log_state", "writing")["log_state"] == f"writing {begun[1]}"
-    assert rig.call("stop_log") == begun
+    begun = asked(rig, "start_log")
+    state(rig, "log_state", f"writing {begun}")
+    assert asked(rig, "stop_log") == begun
     state(rig, "log_state", IDLE)
     assert rig.call("stop_log") == (False, "~/stop_log: nothing is being written")
-    again = rig.call("log", SetBool, data=True)
-    assert again[0], again
-    assert again[1] != begun[1]
-    assert rig.call("log", SetBool, data=False) == again
+    again = asked(rig, "log", SetBool, data=True)
+    assert again != begun
+    assert asked(rig, "log", SetBool, data=False) == again
     state(rig, "log_state", IDLE)
 
 
@@ -108,21 +104,19 @@ def test_it_diagnoses_without_losing_a_sample(rig: Rig, player: Player) -> None:
     counts: list[str] = []
     # A busy node is still taking samples: two reports alike say that it has them all.
     before = rig.values("joint_1", lambda v: counts.append(v["samples"]) or counts[-2:-1] == counts[-1:])
-    asked, begin = rig.call("diagnose"), time.monotonic()
-    assert asked[0], asked
+    verdict, begin = Path(asked(rig, "diagnose")), time.monotonic()
     ok, busy = rig.call("diagnose")
     assert (ok, time.monotonic() - begin < 10.0) == (False, True)
     assert busy.startswith("~/diagnose: one is under way: ")
-    assert asked[1] in busy
+    assert str(verdict) in busy
     sent = player.play(1.0, 1, ())
-    rig.until(lambda: Path(asked[1]).is_file(), "verdict", PATIENCE)
+    rig.until(verdict.is_file, "verdict", PATIENCE)
     state(rig, "diagnosis_state", "done")
     values = rig.values("joint_1", lambda v: int(v["samples"]) == int(before["samples"]) + sent)
     assert (values["samples_missed"], values["messages_lost"]) == ("0", "0")
-    stem = asked[1].removesuffix(".json")
-    result = json.loads(Path(asked[1]).read_text())
-    assert result["schema"] == "hd_diag/diagnosis/1"
-    assert result["report"] == f"{stem}.html"
+    result = json.loads(verdict.read_text())
+    expected = ("hd_diag/diagnosis/1", str(verdict.with_suffix(".html")))
+    assert (result["schema"], result["report"]) == expected
     assert "<html" in Path(result["report"]).read_text()
     for each in result["files"]:  # times as in the log
         with BagReader(each["path"]) as reader:
@@ -145,15 +139,13 @@ def test_diagnoses_that_are_killed_or_outlived(rig: Rig, player: Player) -> None
     pid = rig.process.popen.pid
     for number in (signal.SIGKILL, signal.SIGINT):
         player.play(10.0, 1, ())  # what a diagnosis before has looked at may be older than a snapshot is long
-        asked = rig.call("diagnose")
-        assert asked[0], asked
+        asked(rig, "diagnose")
         state(rig, "diagnosis_state", "diagnoses")
         (child,) = rig.until(lambda: children(pid, b"diagnose"), "process")
         assert os.getpriority(os.PRIO_PROCESS, child) == 19
         if number == signal.SIGKILL:
             os.kill(child, number)
-            failed = state(rig, "diagnosis_state", "failed")
-            assert failed["diagnosis_state"] == "failed: was ended by SIGKILL"
+            state(rig, "diagnosis_state", "failed: was ended by SIGKILL")
     assert rig.process.end(signal.SIGINT) == 0
     assert children(pid, b"diagnose") == []
     assert not Path(f"/proc/{child}").exists()
@@ -180,12 +172,15 @@ def watching(rig: Rig) -> Iterator[tuple[int, Callable[[str], bool]]]:
         process.wait()
 
 
-def test_a_key_of_watch_asks_for_a_diagnosis(tmp_path: Path) -> None:
-    """In a terminal; the node's answer is shown."""
-    with running(tmp_path, parameters(diagnostics_rate=10.0)) as rig, watching(rig) as (screen, shows):
+def test_without_a_log_there_is_no_diagnosis(tmp_path: Path) -> None:
+    """A key of watch asks for one, in a terminal, and shows the answer; motion asks for one."""
+    given = parameters(diagnostics_rate=10.0, diagnose__every=0.1)
+    with running(tmp_path, given) as rig, watching(rig) as (screen, shows):
         rig.until(lambda: shows("joint_1"), "picture of watch")
         os.write(screen, b"d")
         rig.until(lambda: shows("no diagnosis: "), "answer in watch")
+        feed(rig.publisher(), itertools.count(START, 10 * MS), 50, 100.0)
+        state(rig, "diagnosis_state", "failed: ~/diagnose: there is no log: call ~/start_log")
 
 
 def taken_in(bag: Path) -> list[int]:
@@ -197,30 +192,21 @@ def taken_in(bag: Path) -> list[int]:
     return [stamp_of(deserialize_message(data, JointState)) for found in states for _, data in found]
 
 
-@pytest.mark.parametrize(
-    ("mode", "service"), [("snapshot", "snapshot"), pytest.param("off", "start_log", marks=pytest.mark.slow)]
-)
-def test_of_a_node_that_is_killed_what_is_on_disk_is_read(mode: str, service: str, tmp_path: Path) -> None:
+def test_of_a_node_that_is_killed_what_is_on_disk_is_read(tmp_path: Path) -> None:
     """It is what came first, without a gap, and replays; what the memory alone held is lost."""
-    log, before, count = tmp_path / "log", 2000, 1000
-    own = {"path": str(log), "mode": mode, "before": 60.0, "after": 60.0}
-    given = parameters(diagnostics_rate=10.0, **{f"log__{name}": value for name, value in own.items()})
-    stamps = range(START, START + (before + count) * MS, MS)
-    with running(tmp_path, given) as rig:
-        publisher = rig.publisher()
-        feed(publisher, iter(stamps), before)
-        rig.values("joint_1", lambda values: int(values["samples"]) == before)
+    log, count = tmp_path / "log", 2000
+    stamps = range(START, START + count * MS, MS)
+    with running(tmp_path, with_log(log, mode="snapshot", before=60.0, after=60.0)) as rig:
+        feed(rig.publisher(), iter(stamps), count)
+        rig.values("joint_1", lambda values: int(values["samples"]) == count)
         assert not log.exists()
-        taken = rig.call(service)
-        assert taken[0], taken
-        feed(publisher, iter(stamps[before:]), count if mode == "off" else 0)
-        rig.until(lambda: taken_in(Path(taken[1])), "samples on the disk")
+        taken = Path(asked(rig, "snapshot"))
+        rig.until(lambda: taken_in(taken), "samples on the disk")
         rig.process.popen.kill()
         rig.process.popen.wait()
     (bag,) = log.iterdir()
     found = taken_in(bag)
-    first = 0 if mode == "snapshot" else before
-    assert found == [*stamps[first : first + len(found)]]
+    assert found == [*stamps[: len(found)]]
     with BagReader(bag) as reader:
         assert any("has no end" in problem for problem in reader.problems)
     recover(bag, tmp_path / "saved")
@@ -229,36 +215,3 @@ def test_of_a_node_that_is_killed_what_is_on_disk_is_read(mode: str, service: st
     assert taken_in(tmp_path / "saved") == found
     for topic, messages in again.items():
         assert messages[: len(logged.get(topic, []))] == logged.get(topic, []), topic
-
-
-def test_what_gives_way_before_it_is_written_is_lost_and_counted(tmp_path: Path) -> None:
-    """A log that begins with the memory, on a full disk: the memory is full, too, before the disk is free."""
-    log, count = tmp_path / "log", 2000
-    own = {"path": str(log), "mode": "snapshot", "before": 10.0, "memory": 1_000_000, "topics": "inputs"}
-    given = parameters(diagnostics_rate=10.0, **{f"log__{name}": value for name, value in own.items()})
-    noise, stamps, began = random.Random(1), itertools.count(START, MS), time.monotonic()
-    with running(tmp_path, given) as rig:
-        publisher, pid = rig.publisher(), rig.process.popen.pid
-
-        def come(samples: int) -> None:
-            for stamp in itertools.islice(stamps, samples):
-                others = {f"other_{number}": noise.random() for number in range(100)}
-                publisher.publish(message(stamp, {"joint_1_motor": 1.0, "joint_1": 0.01, **others}))
-                time.sleep(0.001)
-
-        come(100)
-        rig.values("joint_1", lambda values: values["samples"] == "100")
-        before = resource.prlimit(pid, resource.RLIMIT_FSIZE, (2000, resource.RLIM_INFINITY))
-        rig.call("start_log")
-        come(count)
-        failed = rig.values("joint_1", lambda values: values["samples"] == str(100 + count))
-        assert int(failed["log_lost"]) > 0
-        resource.prlimit(pid, resource.RLIMIT_FSIZE, before)
-        state(rig, "log_state", "writing")
-        come(100)
-        values = rig.values("joint_1", lambda values: values["samples"] == str(200 + count))
-        assert rig.process.end() == 0
-        # Ten reports a second; on a slow machine other events too, of the pace and of each new beginning
-        lost, events = int(values["log_lost"]), 20 + 20 * (time.monotonic() - began)
-    missing = 200 + count - sum(len(taken_in(bag)) for bag in log.iterdir())
-    assert 0 < missing <= lost <= missing + events

@@ -3,7 +3,6 @@
 import gc
 import sys
 import time
-from typing import Any
 
 import pytest
 import rclpy
@@ -20,14 +19,13 @@ TURNS = 5000  # of the node: at 1 kHz 80 s, with simulated time 5 s
 
 
 def blocks() -> int:
-    """What Python's objects take, without those that are garbage."""
     gc.collect()
     return sys.getallocatedblocks()
 
 
 def test_all_that_is_there_is_taken_and_nothing_stays_of_it() -> None:
     """What stays of every turn is memory that grows for as long as the node runs."""
-    node, other, taken = rclpy.create_node("taking"), rclpy.create_node("giving"), list[Any]()
+    node, other, taken = rclpy.create_node("taking"), rclpy.create_node("giving"), []
     executor = EventsExecutor()
     executor.add_node(node)
     node.create_subscription(JointState, "taking/states", taken.append, INPUT_DEPTH, raw=True)

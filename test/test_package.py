@@ -29,12 +29,10 @@ LOCK_LINE = re.compile(
 
 @pytest.fixture(scope="module")
 def wheel(source_copy: Path, tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
-    """Wheel of the tree, as pip would build it."""
     out = tmp_path_factory.mktemp("wheel")
     build = f"from setuptools import build_meta; build_meta.build_wheel({str(out)!r})"
-    subprocess.run(
-        [sys.executable, "-c", build], cwd=source_copy, check=True, capture_output=True, timeout=120
-    )
+    command = [sys.executable, "-c", build]
+    subprocess.run(command, cwd=source_copy, check=True, capture_output=True, timeout=120)
     return zipfile.ZipFile(next(out.glob("*.whl")))
 
 
@@ -62,20 +60,14 @@ def locked(name: str) -> list[tuple[str, str]]:
     return re.findall(r"(?m)^([a-z0-9-]+)==([^\s;]+)", (ROOT / f"requirements/{name}.txt").read_text())
 
 
-def test_versions_agree(metadata: Message, package_xml: Package) -> None:
+def test_version_and_licence_agree(metadata: Message, package_xml: Package) -> None:
     assert metadata["Name"] == package_xml.name == "hd_diag"
     assert metadata["Version"] == package_xml.version
     newest = re.findall(r"(?m)^(\S+).*\n-{3,}$", (ROOT / "CHANGELOG.rst").read_text())[0]
     assert newest in ("Forthcoming", package_xml.version)
-
-
-def test_licence_agrees(metadata: Message, package_xml: Package) -> None:
     assert [licence.file for licence in package_xml.licenses] == ["LICENSE"]
-    assert (
-        metadata.get("License-Expression", metadata["License"])
-        == str(package_xml.licenses[0])
-        == "Apache-2.0"
-    )
+    told = metadata.get("License-Expression", metadata["License"])
+    assert told == str(package_xml.licenses[0]) == "Apache-2.0"
 
 
 def test_everything_is_installed(wheel: zipfile.ZipFile, source_copy: Path) -> None:
@@ -92,19 +84,19 @@ def test_everything_is_installed(wheel: zipfile.ZipFile, source_copy: Path) -> N
     assert {index, "hd_diag/package.xml", *(f"hd_diag/{name}" for name in data)} <= shared
 
 
-def test_ranges_have_both_bounds(requirements: list[Requirement]) -> None:
+def test_ranges_have_both_bounds_and_every_dependency_has_a_reason(requirements: list[Requirement]) -> None:
+    reasons = (ROOT / "CONTRIBUTING.md").read_text()
     for requirement in requirements:
         operators = {specifier.operator for specifier in requirement.specifier}
         assert operators in ({">=", "<"}, {"=="}), requirement
+        assert f"`{requirement.name}`" in reasons
 
 
 @pytest.mark.parametrize("lock", LOCKS)
 def test_locked_versions_are_in_range(requirements: list[Requirement], lock: str) -> None:
     ranges = {canonicalize_name(requirement.name): requirement.specifier for requirement in requirements}
     in_lock = [(name, version) for name, version in locked(lock) if name in ranges]
-    runtime = {
-        canonicalize_name(requirement.name) for requirement in requirements if requirement.marker is None
-    }
+    runtime = {canonicalize_name(r.name) for r in requirements if r.marker is None}
     assert runtime <= {name for name, _ in in_lock}
     assert [(name, version) for name, version in in_lock if version not in ranges[name]] == []
 
@@ -115,6 +107,7 @@ def test_the_demo_leaves_out_what_the_fleet_alone_needs(requirements: list[Requi
     assert alone == {"pyarrow", "ruptures"} == set(cli_fleet._NEEDED)
     assert alone <= {name for name, _ in locked("test")}
     assert not alone & {name for name, _ in locked("demo")}
+    assert {*locked("demo")} <= {*locked("test")}  # the same versions
 
 
 @pytest.mark.parametrize("lock", [*LOCKS, "test-source"])
@@ -125,15 +118,6 @@ def test_a_lock_names_no_place_and_has_a_hash_for_every_entry(lock: str) -> None
     entries = re.split(r"(?m)^(?=[a-z])", text)[1:]
     assert len(entries) == len(locked(lock))
     assert all("--hash=sha256:" in entry for entry in entries)
-
-
-def test_demo_and_test_run_the_same_versions() -> None:
-    assert set(locked("demo")) <= set(locked("test"))
-
-
-def test_every_dependency_has_a_reason(requirements: list[Requirement]) -> None:
-    reasons = (ROOT / "CONTRIBUTING.md").read_text()
-    assert [r.name for r in requirements if f"`{r.name}`" not in reasons] == []
 
 
 # make ---
@@ -152,11 +136,8 @@ def test_make_works_on_a_copy_of_a_tree_that_is_read_only() -> None:
 
         def lines() -> list[str]:
             kept = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
-            environment = {**kept, "XDG_CACHE_HOME": str(cache)}
-            command = ["make", "help"]
-            run = subprocess.run(
-                command, cwd=tree, env=environment, capture_output=True, text=True, timeout=60, **other
-            )
+            own = {"cwd": tree, "env": {**kept, "XDG_CACHE_HOME": str(cache)}, **other}
+            run = subprocess.run(["make", "help"], capture_output=True, text=True, timeout=60, **own)
             assert (run.returncode, run.stderr) == (0, "")
             return run.stdout.splitlines()
 
@@ -181,19 +162,16 @@ def find_python(*words: object, path: Path | None = None) -> Path:
     return Path(run.stdout.strip())
 
 
-def test_no_environment_is_made_with_one_that_is_active(tmp_path: Path) -> None:
-    """It may be the very one that is made anew."""
-    venv.create(tmp_path / "active", with_pip=False)
-    own = tmp_path / "active" / "bin"
-    found = find_python(own / "python", path=own)
-    assert not found.is_relative_to(tmp_path)
-    assert found.exists()
-
-
-def test_an_environment_keeps_its_python_unless_another_is_named(tmp_path: Path) -> None:
+def test_an_environment_keeps_its_python_unless_another_is_named_or_it_is_active(tmp_path: Path) -> None:
+    """The one that is active may be the very one that is made anew."""
     base, other = find_python(), tmp_path / "other"
     other.symlink_to(base)
     stamp = tmp_path / "lock.stamp"
     for maker, named, expected in ((other, "", other), (tmp_path / "gone", "", base), (other, base, base)):
         stamp.write_text(f"/tree {maker} Python 3 1 2\n")
         assert find_python(named, tmp_path) == expected
+    venv.create(tmp_path / "active", with_pip=False)
+    own = tmp_path / "active" / "bin"
+    found = find_python(own / "python", path=own)
+    assert found.exists()
+    assert not found.is_relative_to(tmp_path)

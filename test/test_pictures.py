@@ -15,6 +15,7 @@ from report_samples import HOSTILE
 
 from hd_diag.config.configuration import resolve
 from hd_diag.diagnosis.gain import Rms
+from hd_diag.formatting import ARCSEC
 from hd_diag.report.pictures import canvas
 from hd_diag.report.pictures.comparison import evidence, model_ladder, remainders
 from hd_diag.report.pictures.markup import inline_svg
@@ -74,10 +75,9 @@ def test_every_colour_stands_out_of_a_light_and_a_dark_page(page: str) -> None:
 
 
 def test_a_ladder_shows_its_numbers() -> None:
-    arcsec = np.pi / 648000.0
-    rms = np.array([46.0, 12.5, 3.3]) * arcsec
+    rms = np.array([46.0, 12.5, 3.3]) * ARCSEC
     names = ["as configured", "refitted", "+ hysteresis"]
-    held_out = Rms(*rms, rms[2], *rms[:2], 3.2 * arcsec, 3.1 * arcsec, 3.4 * arcsec)
+    held_out = Rms(*rms, rms[2], *rms[:2], *np.array([3.2, 3.1, 3.4]) * ARCSEC)
     rungs = [Rung(name, value, 0.9 * value, 1.1 * value) for name, value in zip(names, rms, strict=True)]
     svg = inline_svg(model_ladder(rungs, held_out), "a", "", "")
     assert {*names, "46.00", "12.50", "3.30"} <= set(texts(svg))
@@ -90,12 +90,8 @@ def test_the_evidence_s_bars_have_names_and_numbers() -> None:
         "output_runout": {"": -8.0, "output_runout": 0.0},
     }
     seen = texts(inline_svg(evidence(weighed), "a", "", ""))
-    rows = [
-        "no hysteresis",
-        "coulomb windup for hysteresis",
-        "viscous windup for hysteresis",
-        "no output runout",
-    ]
+    windups = (f"{kind} windup for hysteresis" for kind in ("coulomb", "viscous"))
+    rows = ["no hysteresis", *windups, "no output runout"]
     assert [text for text in seen if text in rows] == rows
     assert {"143", "30", "6.65", "8"} <= set(seen)
 

@@ -3,9 +3,7 @@
 import json
 import platform
 import random
-from collections.abc import Callable
 from importlib import metadata
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +16,13 @@ from logs import content, messages_of
 from numpy.testing import assert_array_equal
 from player import angles
 from replay_fuzz import log_of
-from rosbags.highlevel import AnyReader
 
 import hd_diag
 from hd_diag.bag import BagError, BagReader, BagWriter
 from hd_diag.config.configuration import ConfigError, resolve
 from hd_diag.drive import mesh_state, transmission_error
-from hd_diag.messages.publications import JOINT_STATE, STRING, read_string, string
-from hd_diag.messages.schemas import Definition, definition
+from hd_diag.messages.publications import DIAGNOSTICS, JOINT_STATE, STRING, read_string, string
+from hd_diag.messages.schemas import Definition, definition, jazzy
 from hd_diag.replay import versions
 from hd_diag.replay.events import read_event
 from hd_diag.replay.map_builder import map_of
@@ -57,19 +54,18 @@ def with_writer(path: Path, messages: list[Message], **options: Any) -> Path:
 
 def shuffled(messages: list[Message]) -> list[Message]:
     """Stretches of the file out of order, as several recorders' threads leave them."""
-    chance, parts = random.Random(4), [messages[i : i + 7] for i in range(0, len(messages), 7)]
-    order = sorted(range(len(parts)), key=lambda i: (i // 20, chance.random()))
-    return [entry for i in order for entry in parts[i]]
+    chance, starts = random.Random(4), range(0, len(messages), 7)
+    order = sorted(starts, key=lambda start: (start // 140, chance.random()))
+    return [entry for start in order for entry in messages[start : start + 7]]
 
 
-WAYS: dict[str, Callable[[Path, list[Message]], Path]] = {
+UNSORTED = {"chunk_size": 2000, "summary": False, "indexes": False}
+WAYS = {
     "tiny chunks": lambda f, m: write_with_mcap(f / "b.mcap", m, chunk_size=300),
     "no end": lambda f, m: cut_end(write_with_mcap(f / "c.mcap", m), f / "b.mcap"),
     "split by size": lambda f, m: with_writer(f / "b", m, max_size=20_000, compression="none"),
     "sqlite3, messages compressed": lambda f, m: rosbag2_folder(f / "b", m, compression="message"),
-    "disordered, no indexes": lambda f, m: write_with_mcap(
-        f / "b.mcap", shuffled(m), chunk_size=2000, summary=False, indexes=False
-    ),
+    "disordered, no indexes": lambda f, m: write_with_mcap(f / "b.mcap", shuffled(m), **UNSORTED),
 }
 
 
@@ -115,21 +111,18 @@ def test_every_pair_of_arrays_has_the_stamp_of_its_sample(log: Path) -> None:
 
 @pytest.mark.parametrize("way", WAYS)
 def test_outputs_are_the_same_whatever_the_bag(tmp_path: Path, log: Path, way: str) -> None:
-    """All topics, to the last byte."""
     result = replay(WAYS[way](tmp_path, samples()), tmp_path / "out", CONFIG)
     assert content(tmp_path / "out") == content(log)
-    assert (result.messages, result.joints, result.rejected) == (COUNT, ("a",), {"a": 0, "b": 0})
-    assert result.missed == {"a": 0, "b": 0}
+    assert (result.messages, result.joints) == (COUNT, ("a",))
+    assert result.rejected == result.missed == {"a": 0, "b": 0}
     assert bool(result.problems) == (way == "no end")
 
 
 def test_joints_of_several_topics_that_appear_late(tmp_path: Path) -> None:
     """Joint b is on a topic of its own and begins after a second; a third topic has nothing of them."""
     rows = list(zip(STAMPS.tolist(), ANGLE, OUTPUT, strict=True))
-    late = [
-        ("/arm/joint_states", JOINT_STATE, message(s, {"b_motor": x, "b": y}), s + 100)
-        for s, x, y in rows[1000:]
-    ]
+    topic = "/arm/joint_states"
+    late = [(topic, JOINT_STATE, message(s, {"b_motor": x, "b": y}), s + 100) for s, x, y in rows[1000:]]
     other = [("/gripper", JOINT_STATE, message(s, {"finger": 0.1}), s) for s, *_ in rows[::10]]
     messages = sorted(samples() + late + other, key=lambda entry: entry[3])
     result = replay(write_with_mcap(tmp_path / "b.mcap", messages), tmp_path / "out.mcap", CONFIG)
@@ -140,12 +133,15 @@ def test_joints_of_several_topics_that_appear_late(tmp_path: Path) -> None:
     assert len(found) == 2 * COUNT - 1000
     assert_array_equal(joint_b, np.column_stack((predicted, np.zeros(COUNT - 1000))))
     assert result.joints == ("a", "b")
-    only = replay(tmp_path / "b.mcap", tmp_path / "only.mcap", CONFIG, topics=("/arm/joint_states",))
+    only = replay(tmp_path / "b.mcap", tmp_path / "only.mcap", CONFIG, topics=(topic,))
     assert only.joints == ("b",)
-    assert set(content(tmp_path / "only.mcap")) >= {"/arm/joint_states", "/hd_diag/b/load"}
+    assert set(content(tmp_path / "only.mcap")) >= {topic, "/hd_diag/b/load"}
     assert "/joint_states" not in content(tmp_path / "only.mcap")
     with pytest.raises(BagError, match="has no topic /nowhere with sensor_msgs/msg/JointState"):
         replay(tmp_path / "b.mcap", tmp_path / "no.mcap", CONFIG, topics=("/nowhere",))
+    bag = write_with_mcap(tmp_path / "none.mcap", [("/text", STRING, string("x"), START)])
+    with pytest.raises(BagError, match="has no topic with sensor_msgs/msg/JointState"):
+        replay(bag, tmp_path / "no.mcap", CONFIG)
 
 
 def test_a_bag_with_its_own_joint_state_is_read_by_its_own_definition(tmp_path: Path) -> None:
@@ -158,16 +154,11 @@ def test_a_bag_with_its_own_joint_state_is_read_by_its_own_definition(tmp_path: 
         for _, _, data, time in samples()[:200]:
             # The field is aligned to 8 behind header and empty frame (16 bytes after the CDR header).
             writer.write("/joint_states", JOINT_STATE, data[:20] + b"\0" * 8 + data[20:], time)
-    result = replay(bag, tmp_path / "out.mcap", CONFIG)
-    assert result.rejected["a"] == 0
-    found, values = columns_of(tmp_path / "out.mcap", "/hd_diag/transmission_error")
-    assert_array_equal(found, STAMPS[:200])
-    assert_array_equal(values[:, 1], TORQUE[:200])
+    assert replay(bag, tmp_path / "out.mcap", CONFIG).rejected["a"] == 0
+    found = angles(tmp_path / "out.mcap", "/hd_diag/transmission_error")
+    assert [(at, load) for at, (_, load) in found] == [*zip(STAMPS[:200], TORQUE[:200], strict=True)]
     copied = content(tmp_path / "out.mcap")["/joint_states"]
     assert copied == [(time, data) for _, _, data, time in samples()[:200]]
-
-
-# What is written ---
 
 
 def test_a_nodes_outputs_are_no_input(tmp_path: Path, log: Path) -> None:
@@ -183,42 +174,20 @@ def test_a_nodes_outputs_are_no_input(tmp_path: Path, log: Path) -> None:
     assert found["/hd_diag/residual"] == content(log)["/hd_diag/residual"]
 
 
-# Times ---
-
-
-def statuses(bag: Path) -> list[dict[str, str]]:
-    """Values of the first joint in every report, with the time of the report [s] since the start."""
-    with AnyReader([bag]) as reader:
-        wanted = [c for c in reader.connections if c.topic == "/diagnostics"]
-        found = []
-        for connection, time, data in reader.messages(wanted):
-            status: Any = reader.deserialize(data, connection.msgtype)
-            values = {pair.key: pair.value for pair in status.status[0].values}
-            found.append({**values, "time": str((time - START) / 1e9)})
-    return found
-
-
 def test_reports_go_on_while_a_joint_is_silent_but_not_for_days(tmp_path: Path) -> None:
     """A silence of ten seconds is reported on; of one of two days only the last second is."""
     parts = (0, 10 * 10**9, 2 * 86_400 * 10**9)
     times = [START + part + i * MS for part in parts for i in range(1500)]
     messages = [("/joint_states", JOINT_STATE, message(s, {"a_motor": 0.1}), s) for s in times]
     replay(write_with_mcap(tmp_path / "b.mcap", messages), tmp_path / "out.mcap", CONFIG)
-    found = statuses(tmp_path / "out.mcap")
+    reports = content(tmp_path / "out.mcap")["/diagnostics"]
+    assert reports == sorted(reports, key=lambda report: report[0])
+    every = (jazzy().deserialize_cdr(data, DIAGNOSTICS).status[0].values for _, data in reports)
+    found = [{pair.key: pair.value for pair in values} for values in every]
     assert 14 <= len(found) <= 18
-    codes = [status["fault_code"] for status in found]
-    assert codes.count("STALE") >= 8
-    silence = [float(status["silence_s"]) for status in found]
-    assert max(silence) > 2 * 86_000
-    assert found[-1]["silence_s"] == "0"
-    assert found[-1]["samples"] == str(3 * 1500)
-    assert all(float(b["time"]) >= float(a["time"]) for a, b in pairwise(found))
-
-
-def test_a_bag_of_less_than_a_second_has_its_report(tmp_path: Path) -> None:
-    replay(write_with_mcap(tmp_path / "b.mcap", samples()[:20]), tmp_path / "out.mcap", CONFIG)
-    (status,) = statuses(tmp_path / "out.mcap")
-    assert status["samples"] == "20"
+    assert [status["fault_code"] for status in found].count("STALE") >= 8
+    assert max(float(status["silence_s"]) for status in found) > 2 * 86_000
+    assert (found[-1]["silence_s"], found[-1]["samples"]) == ("0", str(3 * 1500))
 
 
 def test_times_that_ros_does_not_have_are_refused(tmp_path: Path) -> None:
@@ -228,24 +197,7 @@ def test_times_that_ros_does_not_have_are_refused(tmp_path: Path) -> None:
         replay(bag, tmp_path / "out.mcap", CONFIG)
 
 
-# Errors and interruptions ---
-
-
-def test_a_bag_without_joint_states_is_refused(tmp_path: Path) -> None:
-    bag = write_with_mcap(tmp_path / "b.mcap", [("/text", STRING, string("x"), START)])
-    with pytest.raises(BagError, match="has no topic with sensor_msgs/msg/JointState"):
-        replay(bag, tmp_path / "out.mcap", CONFIG)
-
-
-def test_a_log_without_its_beginning_says_so(tmp_path: Path, log: Path) -> None:
-    events = content(log)["/hd_diag/events"][1:]
-    bag = write_with_mcap(tmp_path / "b.mcap", [("/hd_diag/events", STRING, d, t) for t, d in events])
-    with pytest.raises(BagError, match="does not begin with a configuration"):
-        replay(bag, tmp_path / "out.mcap")
-
-
 def test_after_an_error_no_reader_takes_the_output_for_whole(tmp_path: Path) -> None:
-    """Here a chunk in the middle of the input is damaged."""
     bag = write_with_mcap(tmp_path / "b.mcap", samples(), chunk_size=20_000, compression="none")
     data = bytearray(bag.read_bytes())
     data[len(data) // 2] ^= 0xFF
@@ -256,8 +208,6 @@ def test_after_an_error_no_reader_takes_the_output_for_whole(tmp_path: Path) -> 
         assert reader.problems
 
 
-# Hostile logs ---
-
 GOOD = {"event": "configuration", "new": True, "parameters": dict(CONFIG.flat)}
 HOSTILE: dict[str, list[Any]] = {
     "no JSON": ["{"],
@@ -265,6 +215,7 @@ HOSTILE: dict[str, list[Any]] = {
     "a number": ["7"],
     "deep": ["[" * 100_000],
     "no kind": ["{}"],
+    "no beginning": [{"event": "map", "joint": "a", "torque_limit": 1.0}],
     "kind of another type": [{"event": ["map"]}],
     "no parameters": [{"event": "configuration", "new": True}],
     "parameters are no object": [{**GOOD, "parameters": [1, 2]}],
@@ -303,9 +254,7 @@ def test_a_hostile_log_is_refused_in_one_line(tmp_path: Path, kind: str) -> None
     with pytest.raises((BagError, ConfigError)) as caught:
         replay(bag, tmp_path / "out.mcap")
     text = str(caught.value)
-    assert "b.mcap" in text
-    assert "\n" not in text
-    assert len(text) < 900
+    assert ("b.mcap" in text, "\n" in text, len(text) < 900) == (True, False, True)
 
 
 def test_events_of_later_versions_are_passed_over(tmp_path: Path) -> None:
@@ -327,11 +276,7 @@ def test_a_log_that_begins_anew_is_followed(tmp_path: Path) -> None:
     assert [values[1] for _, values in found[10:]] == [2.5] * 5
 
 
-# Versions: named at a log's start, and told where a replay has others ---
-
-
 def rewritten(log: Path, path: Path, change: dict[str, Any]) -> Path:
-    """The log as if other software had written it."""
     made = []
     for topic, kind, data, time in messages_of(log):
         event = json.loads(read_string(data)) if kind == STRING else {}
@@ -351,15 +296,11 @@ def test_a_log_names_its_versions_and_the_same_ones_are_no_problem(tmp_path: Pat
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        ({"numpy": "1.0.0"}, f"numpy 1.0.0 (here {versions.running()['numpy']})"),
-        ({"numba": "0.1\n"}, f"numba 0.1\\n (here {versions.running()['numba'] or 'absent'})"),
-        ({"numpy": None, "cobol": "85"}, f"numpy absent (here {versions.running()['numpy']})"),
-    ],
+    ("name", "found", "told"), [("numpy", "1.0", "1.0"), ("numba", "0\n", "0\\n"), ("numpy", None, "absent")]
 )
-def test_other_versions_are_one_warning(tmp_path: Path, change: dict[str, Any], told: str) -> None:
-    log = rewritten(log_of(tmp_path / "log.mcap"), tmp_path / "other.mcap", change)
+def test_other_versions_are_one_warning(name: str, found: str | None, told: str, tmp_path: Path) -> None:
+    log = rewritten(log_of(tmp_path / "log.mcap"), tmp_path / "other.mcap", {name: found, "cobol": "85"})
+    told = f"{name} {told} (here {versions.running()[name] or 'absent'})"
     result = command("replay", log, "--out", tmp_path / "out.mcap")
     assert result.exit_code == 0
     assert result.stderr == f"warning: {log}: was recorded with {told}: outputs may differ by rounding\n"

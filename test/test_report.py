@@ -3,12 +3,12 @@
 import dataclasses
 import json
 import re
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
 from benches import CONFIGURED, EFFECTS, TRUE, bench, solved
+from browser import Markup
 from challenge import records
 from cli_runner import ASSUMED, assert_one_line_error, config_file, hd_diag
 from joint_records import ARCSEC, columns, prepared
@@ -33,14 +33,13 @@ from hd_diag.config.configuration import JointConfig, dump, resolve
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
 from hd_diag.diagnosis.evidence.unexplained import Unexplained
 from hd_diag.diagnosis.judgement import Answer
-from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.verdict import as_json
 from hd_diag.drive import mesh_state, transmission_error
 from hd_diag.formatting import arcsec, words
 from hd_diag.gears.catalogue import table
 from hd_diag.records.joint_record import InputRecord
 from hd_diag.report.cards import cards
-from hd_diag.report.facts import Fact, JointReport, Judgement, of_motion, quality_of, settings
+from hd_diag.report.facts import Fact, Judgement, of_motion, quality_of, settings
 from hd_diag.report.page import TERMS, Links, page, used
 from hd_diag.report.torsion import k_shown
 
@@ -49,38 +48,14 @@ OTHER = pytest.param("input_encoder_eccentricity", marks=pytest.mark.slow)
 EACH = pytest.mark.parametrize("name", ["output_runout", OTHER])
 
 
-class Reader(HTMLParser):
-    """Tags with their attributes, and the text."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.tags: list[tuple[str, dict[str, str | None]]] = []
-        self.text = ""
-        self.feed(text)
-
-    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
-        self.tags.append((tag, dict(attributes)))
-
-    def handle_data(self, data: str) -> None:
-        self.text += data
-
-    def all(self, tag: str) -> list[dict[str, str | None]]:
-        return [attributes for name, attributes in self.tags if name == tag]
-
-
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a page says beside its pictures, which take two seconds; such ones are drawn in other tests."""
     monkeypatch.setattr("hd_diag.report.page.inline_svg", lambda *_, **__: "")
 
 
-def judged(name: str) -> Judgement:
-    return judgement_of(joint_report(name))
-
-
-def judgement_of(report: JointReport) -> Judgement:
-    assert report.judgement is not None
-    return report.judgement
+def judged(name: str) -> Judgement | None:
+    return joint_report(name).judgement
 
 
 # Numbers ---
@@ -90,19 +65,14 @@ def judgement_of(report: JointReport) -> Judgement:
 def test_the_ladder_s_rungs_lead_down_to_the_noise(name: str) -> None:
     """They hold out other data than the diagnosis does: its own figures are within a fifth."""
     found, rms = judged(name), diagnosis(name).rms
-    assert rms is not None
     nominal, refitted, named, extended = found.ladder
     for compared in (found.over_angle, found.over_torque):  # over the very same samples
         assert list(compared.simulated) == ["as configured", "refitted", "extended"]
         assert compared.measured.samples.sum() == compared.samples
         for residual in compared.residual.values():
             assert_array_equal(residual.samples, compared.measured.samples)
-    assert [rung.name for rung in found.ladder] == [
-        "as configured",
-        "refitted",
-        f"+ {words(name)}",
-        "+ remainders",
-    ]
+    rungs = ["as configured", "refitted", f"+ {words(name)}", "+ remainders"]
+    assert [rung.name for rung in found.ladder] == rungs
     assert nominal.rms > refitted.rms > named.rms > 0.9 * extended.rms > 0.8 * rms.noise
     own = [rms.nominal, rms.refit, rms.offline]
     assert_allclose([nominal.rms, refitted.rms, extended.rms], own, rtol=0.2)
@@ -119,10 +89,8 @@ def test_the_order_of_a_cause_is_marked(name: str) -> None:
     assert (mark.name, mark.order) == (words(name), pytest.approx(1.0, abs=0.01))
     amplitude = float(np.std(records.added_by(made(name), name)))
     assert mark.amplitude == pytest.approx(np.sqrt(2.0) * amplitude, rel=0.15)
-    before, after = (
-        size[np.abs(order - 1.0) < 0.02].max()
-        for order, size in (found.orders["refitted"], found.orders["extended"])
-    )
+    stages = (found.orders[name] for name in ("refitted", "extended"))
+    before, after = (size[np.abs(order - 1.0) < 0.02].max() for order, size in stages)
     assert before > 4.0 * after
 
 
@@ -147,20 +115,16 @@ def test_cards_are_sorted_by_size_and_leave_out_what_may_be_nothing() -> None:
     assert len(sizes) > 2
     assert sizes == sorted(sizes, reverse=True)
     (cause,) = found.causes
-    title = words(cause.effect.name).capitalize()
-    entry = cause.effect.quantities[0]
-    (value, _), spread = (
-        cause.effect.to_physical(cause.coefficients, cause.nonlinear)[entry.name],
-        cause.effect.standard_deviations(cause.coefficients, cause.nonlinear, cause.covariance)[entry.name],
-    )
-    shown = []
-    for sigmas in (2.1, 1.9):
+    effect, given = cause.effect, (cause.coefficients, cause.nonlinear)
+    name = effect.quantities[0].name
+    value, _ = effect.to_physical(*given)[name]
+    spread = effect.standard_deviations(*given, cause.covariance)[name]
+    for sigmas, shown in ((2.1, [words(name)]), (1.9, [])):
         wider = dataclasses.replace(cause, covariance=cause.covariance * (value / sigmas / spread) ** 2)
         doubted = dataclasses.replace(found, found=dataclasses.replace(found.found, causes=(wider,)))
-        shown.append([card for card in cards(Answer(doubted)) if card.title == title])
-    (card,), none = shown
-    assert words(entry.name) in dict(card.measures)
-    assert none == []
+        own = [card for card in cards(Answer(doubted)) if card.title == words(effect.name).capitalize()]
+        assert [measure for card in own for measure in dict(card.measures) if measure == words(name)] == shown
+        assert bool(own) == bool(shown)
 
 
 def test_what_to_do_stands_first_then_how_bad_the_joint_is(undrawn: None) -> None:
@@ -172,7 +136,7 @@ def test_what_to_do_stands_first_then_how_bad_the_joint_is(undrawn: None) -> Non
     assert report.lines == [told["advice"], *report.said]
     (gauge,) = found.gauges
     assert gauge.share == pytest.approx(float(re.findall(r"\d+", report.said[0])[0]) / 90.0, abs=0.01)
-    read = Reader(page([report], SOURCES))
+    read = Markup(page([report], SOURCES))
     places = [read.text.index(text) for text in (told["advice"], *report.said[:2])]
     assert places == sorted(places)
     (light,) = (span for span in read.all("span") if span.get("class") == "light")
@@ -192,7 +156,7 @@ def test_what_is_usual_asks_for_nothing(undrawn: None) -> None:
     assert {"sharpness", "spread"}.isdisjoint(dict(shown["Hysteresis"].measures))
     assert "bending reach" in dict(shown["Hysteresis"].measures)
     report = report_of(usual)
-    text = Reader(page([report], SOURCES)).text
+    text = Markup(page([report], SOURCES)).text
     assert (report.advice.light, report.advice.action) == ("green", "nothing")
     assert "What was found and asks for nothing" in text
     assert EFFECTS["hysteresis"].inspect not in text
@@ -223,9 +187,7 @@ def test_stiffness_stands_beside_that_of_the_page_between_its_t1_and_t2(undrawn:
     assert "K2, 2 to 6.9 N m" in shown
     config = resolve({})
     assert 'data-name="page"' not in page([of_motion(motion, config.joints[0], config.flat, "nothing")], [])
-
-
-def test_a_stiffness_has_its_digits_in_small_and_in_large_gears() -> None:
+    # With the same number of digits in small gears and in large ones.
     assert [k_shown(k) for k in (512.0, 2.55e4, 3.0e4, 25.34e4)] == ["0.0512", "2.55", "3.00", "25.3"]
 
 
@@ -245,7 +207,6 @@ def test_the_eccentricity_s_card_tells_what_a_dial_gauge_reads() -> None:
 
 def test_teeth_are_those_of_the_refitted_drive() -> None:
     teeth, refitted = joint_report("output_runout").teeth, diagnosis("output_runout").refitted
-    assert refitted is not None
     rows = [0, 60, teeth.moment]
     cup = refitted.drive.frame.cup_torque(np.full(3, teeth.torque))
     state = mesh_state(refitted.drive, teeth.input_angle[rows], cup)
@@ -276,19 +237,16 @@ def test_settings_are_told_with_their_units() -> None:
     assert not [name for name in told if name.startswith("limits.")]
 
 
-def diagnosed(record: Record) -> Diagnosis:
-    return diagnose(record, configured().joints[0].drive, np.random.default_rng(0))
-
-
 def test_a_wrong_ratio_is_all_that_is_said_first() -> None:
     """Nothing was fitted: one card, one stage, no ladder; and the page stands."""
     given = columns(seconds=6.0)
-    wrong = diagnosed(prepared(given | {"output": -given["output"]}))
+    record, own = prepared(given | {"output": -given["output"]}), configured().joints[0].drive
+    wrong = diagnose(record, own, np.random.default_rng(0))
     report = report_of(wrong)
-    found = judgement_of(report)
+    found = report.judgement
     assert [card.title for card in found.cards] == ["Ratio error"]
     assert (list(found.over_angle.residual), found.ladder) == (["as configured"], ())
-    read = Reader(page([report], SOURCES))
+    read = Markup(page([report], SOURCES))
     assert wrong.findings[0].text in read.text
     assert "Nothing was tested." in read.text
     assert len(read.all("svg")) == 7
@@ -297,7 +255,7 @@ def test_a_wrong_ratio_is_all_that_is_said_first() -> None:
 def test_a_joint_that_is_eccentric_and_no_more(undrawn: None) -> None:
     """The card's size is what the displacement does to the error; without a cause no stage is extended."""
     found = eccentric()
-    judgement = judgement_of(report_of(found))
+    judgement = report_of(found).judgement
     (card,) = judgement.cards
     assert card.title == "Eccentricity of the wave generator in the housing"
     motion = found.record.input_angle, found.record.torque
@@ -307,7 +265,7 @@ def test_a_joint_that_is_eccentric_and_no_more(undrawn: None) -> None:
     # A meter is yellow between its marks: from nothing to its end where the limit is too near to tell.
     near = tuple(gauge._replace(state="near") for gauge in judgement.gauges)
     told = dataclasses.replace(report_of(found), judgement=dataclasses.replace(judgement, gauges=near))
-    read = Reader(page([told], SOURCES))
+    read = Markup(page([told], SOURCES))
     assert {(meter["low"], meter["high"]) for meter in read.all("meter")} == {("1e-06", "2.0")}
     assert "extended by the causes" not in read.text
 
@@ -319,7 +277,7 @@ def test_a_bearing_that_slips_has_its_order_marked() -> None:
     (cause,) = (whole := solved(fitted, (bearing, (2.6, 1.0)))).causes
     assert fitted.columns(bearing, cause.nonlinear).shape[1] > cause.coefficients.size
     found = Diagnosis(fitted.data.record, CONFIGURED, (), None, whole, None, None)
-    (mark,) = judgement_of(report_of(found)).marks
+    (mark,) = report_of(found).judgement.marks
     assert (mark.name, mark.order) == ("bearing passage", pytest.approx(2.6, abs=0.05))
 
 
@@ -327,15 +285,13 @@ def test_a_record_without_torque_has_no_measured_stiffness(undrawn: None) -> Non
     """And what no cause explains stands on its page in words where it has no period."""
     given = {name: column for name, column in columns(seconds=10.0).items() if name != "torque"}
     record = prepared(given, assumed_torque=30.0)
-    lines = (
-        Unexplained(0.0, "input", 1e-5, "none", "none", "wanders", "forwards"),
-        Unexplained(2.5, "output", 1e-5, "none", "none"),
-    )
+    slow = Unexplained(0.0, "input", 1e-5, "none", "none", "wanders", "forwards")
+    lines = (slow, Unexplained(2.5, "output", 1e-5, "none", "none"))
     report = report_of(Diagnosis(record, CONFIGURED, (), None, None, None, None, unexplained=lines))
     assert not [entry for entry in report.torsion.stiffness if np.isfinite(entry.measured)]
     assert report.torsion.measured == ()
     assert dict(report.quality)["Torque"] == "not measured"
-    text = Reader(page([report], SOURCES)).text
+    text = Markup(page([report], SOURCES)).text
     assert text.count("not measured") == 4  # three stiffnesses and the torque
     assert "a part that wanders forwards" in text
     assert "2.50 per output turn" in text
@@ -345,7 +301,6 @@ def test_a_record_without_torque_has_no_measured_stiffness(undrawn: None) -> Non
 
 
 def section(text: str, number: int = 1) -> str:
-    """A joint's part of a page."""
     return text[text.index(f'<section id="joint{number}"') :].partition("</section>")[0]
 
 
@@ -356,28 +311,27 @@ def test_equal_numbers_give_an_equal_small_page() -> None:
     first, again = (re.sub(r'<a class="term"[^>]*>|</a>|<h3>Words (?s:.*?)</dl>\n', "", p) for p in parts)
     assert first == again
     assert len(text.encode()) < 2 * 450_000  # so that seven joints stay near 3 MB
-    text, found = Reader(text).text, diagnosis("output_runout")
-    assert found.rms is not None
+    text, found = Markup(text).text, diagnosis("output_runout")
     rms = map(arcsec, (found.rms.nominal, found.rms.refit, found.rms.extended, found.rms.noise))
     tested = (part for test in found.testable for part in (words(test.name), test.reason))
     alike = " or ".join(map(words, found.causes[0].alike))
     assert letters("".join(joint_report("output_runout").said)) in letters(text)
     assert [part for part in (*rms, *tested) if part not in text] == []
     assert f"{alike}: this record fits both about as well." in text
-    assert {(m["low"], m["high"]) for m in Reader(hostile_page()).all("meter")} == {("1.0", "1.0")}
+    assert {(m["low"], m["high"]) for m in Markup(hostile_page()).all("meter")} == {("1.0", "1.0")}
 
 
 def test_every_joint_and_picture_is_told_with_ids_of_its_own() -> None:
     text = hostile_page()
-    ids = [attributes["id"] for _, attributes in Reader(text).tags if "id" in attributes]
+    ids = Markup(text).values("id")
     assert len(set(ids)) == len(ids)
     assert {"joint1", "joint2"} <= set(ids)
-    places = [attributes["href"] or "" for attributes in Reader(text).all("a")]
+    places = [attributes["href"] or "" for attributes in Markup(text).all("a")]
     assert places[:2] == ["#joint1", "#joint2"]
     assert "#term-datum" in places
     assert {place.removeprefix("#") for place in places} <= set(ids)
     told = dict(re.findall(r'<(?:title|desc) id="(joint1-[^"]+)">([^<]+)<', text))
-    pictures = Reader(section(text)).all("svg")
+    pictures = Markup(section(text)).all("svg")
     assert len(pictures) == 10
     for picture in pictures:
         assert picture["role"] == "img"
@@ -387,19 +341,16 @@ def test_every_joint_and_picture_is_told_with_ids_of_its_own() -> None:
 
 def test_text_of_a_bag_does_nothing_on_the_page() -> None:
     text = hostile_page()
-    read = Reader(text)
+    read = Markup(text)
     assert {tag for tag, _ in read.tags} & {"script", "img", "iframe", "object", "link", "base"} == {"link"}
     assert not [name for _, attributes in read.tags for name in attributes if name.startswith("on")]
     assert HOSTILE.replace("\u202e", "\\u202e").replace("\x07", "\\x07") in read.text
     assert not set(text) & {"\u202e", "\x07"}
     policy = next(a["content"] for a in read.all("meta") if a.get("http-equiv") == "Content-Security-Policy")
-    assert re.fullmatch(
-        r"default-src 'none'; style-src 'sha256-[\w+/=]{44}'; img-src data:; "
-        r"base-uri 'none'; form-action 'none'",
-        policy or "",
-    )
-    assert not [a for _, a in read.tags if "style" in a]
-    places = [a[key] or "" for _, a in read.tags for key in ("src", "href", "xlink:href") if key in a]
+    safe = r"default-src 'none'; style-src 'sha256-[\w+/=]{44}'; img-src data:; base-uri 'none'"
+    assert re.fullmatch(f"{safe}; form-action 'none'", policy or "")
+    assert read.values("style") == []
+    places = read.values("src", "href", "xlink:href")
     assert places
     assert [place for place in places if not place.startswith(("#", "data:"))] == []
 
@@ -415,17 +366,15 @@ def test_a_bag_without_output_gets_the_model_s_side(tmp_path: Path) -> None:
     result = hd_diag("report", bag, "--config", config, "--out", out, "--json", told)
     assert (result.exit_code, result.stderr) == (0, "")
     assert "Cannot be judged: no input angle" in result.stdout
-    read = Reader(out.read_text(encoding="utf-8"))
+    read = Markup(out.read_text(encoding="utf-8"))
     assert {tag for tag, _ in read.tags} & {"script", "img"} == set()
-    assert "Cannot be judged: no input angle" in read.text
-    assert "<b>bag.mcap" in read.text
+    parts = ("Cannot be judged: no input angle", "<b>bag.mcap", "Measured against simulated")
+    assert [part in read.text for part in parts] == [True, True, False]
     assert len(read.all("svg")) == 4  # one of them the torque over position
-    assert "Measured against simulated" not in read.text
     assert not list(tmp_path.glob(".*"))
     found = json.loads(told.read_text())
     assert (found["schema"], found["joint"]) == ("hd_diag/not_judged/1", "joint_1")
-    assert "no input angle ('<script>" in found["error"]
-    assert "with output angle" in found["error"]
+    assert re.search(r"(?s)no input angle \('<script>.*with output angle", found["error"])
 
 
 def test_a_bag_that_goes_while_it_is_judged_loses_nothing(tmp_path: Path) -> None:
@@ -454,7 +403,7 @@ def test_both_verbs_write_what_they_say(
     assert (drawn.exit_code, drawn.stderr) == (0, ASSUMED)
     told, lines = json.loads((tmp_path / "a.json").read_text()), drawn.stdout.splitlines()
     assert (lines[0], lines[-1]) == (f"joint_1: {told['advice']}", f"report written: {out}")
-    assert letters(told["verdict"]) in letters(Reader(out.read_text(encoding="utf-8")).text)
+    assert letters(told["verdict"]) in letters(Markup(out.read_text(encoding="utf-8")).text)
     monkeypatch.setattr("hd_diag.report.page.page", lambda *_: "a page, which takes its time")
     names = ("--columns", "time=time,input=input,output=output,torque=torque,temperature=temperature")
     result = hd_diag("report", table, *names, "--out", out, "--json", "-")
@@ -483,14 +432,12 @@ def test_a_joint_that_the_bag_lacks_does_not_stop_the_others(
     config = tmp_path / "two.yaml"
     config.write_text(dump(resolve({"joints": ["elbow", "joint_1"]})), encoding="utf-8")
     given = (verb, bag, "--config", config, *(("--out", out) if verb == "report" else ()), "--json", told)
-    assert_one_line_error(
-        hd_diag(*given, "--joint", "elbow"), "hd-diag: elbow: no input angle ('elbow_motor')"
-    )
+    alone = hd_diag(*given, "--joint", "elbow")
+    assert_one_line_error(alone, "hd-diag: elbow: no input angle ('elbow_motor')")
     assert (out.exists(), told.exists()) == (False, False)
     result = hd_diag(*given)
-    assert result.exit_code == 2
-    assert result.stderr.startswith("hd-diag: elbow: not judged: no input angle ('elbow_motor')")
-    assert len(result.stderr.splitlines()) == 1
+    said = r"hd-diag: elbow: not judged: no input angle \('elbow_motor'\).*\n"
+    assert (result.exit_code, bool(re.fullmatch(said, result.stderr))) == (2, True)
     elbow, joint = json.loads(told.read_text())["joints"]
     assert (elbow["schema"], joint["schema"]) == ("hd_diag/not_judged/1", "hd_diag/diagnosis/1")
     assert verb == "diagnose" or letters(joint["verdict"]) in letters(out.read_text("utf-8"))

@@ -21,7 +21,6 @@ from hd_diag.report.teeth import teeth_over_turn
 
 @pytest.fixture(scope="module")
 def hostile(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """Address of a page of two joints with names that want to be markup."""
     path = tmp_path_factory.mktemp("page") / "report.html"
     path.write_text(hostile_page(), encoding="utf-8")
     return path.as_uri()
@@ -65,7 +64,6 @@ def test_the_numbers_of_a_ladder_lie_free_of_its_marks(browser: Any, tmp_path: P
 
 
 def test_letters_in_pictures_can_be_read_on_a_phone(browser: Any, hostile: str) -> None:
-    """At least 9 px high, and none reaches out of its picture."""
     opened(browser, hostile, 360)
     found = browser.execute_script("""return [...document.querySelectorAll('svg')].flatMap(svg => {
         const frame = svg.getBoundingClientRect(), scale = frame.width / svg.viewBox.baseVal.width;

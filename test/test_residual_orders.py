@@ -8,13 +8,13 @@ import pytest
 from challenge import motion, records
 from challenge.records import Record, Recording
 from challenge.truth import NOMINAL
-from live import START, config, states
+from live import START, config, map_of_two, states
+from scipy.signal import lfilter
 
-from hd_diag.model.torsion_map import ARCSEC, TorsionMap
+from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.monitor.all_joints import Monitor
 from hd_diag.monitor.publications import Status
 from hd_diag.monitor.residual_orders import Order, ResidualOrders
-from hd_diag.replay.map_builder import map_of
 
 RATIO, TURN = 100.0, 2.0 * np.pi
 STEP = 2e-3  # [s]
@@ -33,15 +33,7 @@ def fed(angle: np.ndarray, residual: np.ndarray, torque: float | np.ndarray = 1.
 def noise(seed: int, size: float) -> np.ndarray:
     """White and slow, of an rms [rad] each."""
     white, steps = np.random.default_rng(seed).standard_normal((2, TIME.size))
-    slow = np.empty(TIME.size)
-    value = 0.0
-    for i, step in enumerate(steps.tolist()):
-        value = 0.97 * value + np.sqrt(1.0 - 0.97**2) * step
-        slow[i] = value
-    return np.asarray(size * (white + slow), dtype=np.float64)
-
-
-# One order at a time ---
+    return size * (white + lfilter([np.sqrt(1.0 - 0.97**2)], [1.0, -0.97], steps))
 
 
 def test_orders_are_told_apart_and_forgotten() -> None:
@@ -62,10 +54,8 @@ def test_orders_are_told_apart_and_forgotten() -> None:
 def test_amplitude_and_phase_are_within_their_deviation(order: int, speed: float) -> None:
     """Of 8 in noise of 7, at speeds [turns/s]; the deviation is that of a mean over the windows."""
     angle = TURN * speed * TIME + 0.4
-    found = [
-        fed(angle, 8.0 * np.cos(order * angle - 1.1) + noise(seed, 5.0))[f"input {order}"]
-        for seed in range(4)
-    ]
+    wave = 8.0 * np.cos(order * angle - 1.1)
+    found = [fed(angle, wave + noise(seed, 5.0))[f"input {order}"] for seed in range(4)]
     assert all(each.repeats for each in found)
     off = np.array([each.amplitude * np.exp(1j * each.phase) - 8.0 * np.exp(1.1j) for each in found])
     std = np.array([each.std for each in found])
@@ -81,19 +71,15 @@ def test_rest_is_not_motion() -> None:
 
 
 def test_orders_that_the_motion_does_not_show_are_left_out() -> None:
+    """Nor are those that a sender shows which breaks off each half turn."""
     time = TIME[:3000]
     found = fed(20.0 * time, np.cos(40.0 * time))
     assert "output 1" not in found
     assert found["input 2"].amplitude == pytest.approx(1.0, rel=1e-3)
     assert fed(0.1 * np.sin(time), np.ones(time.size)) == {}
     assert fed(20.0 * time[:50], np.ones(50)) == {}
-
-
-def test_after_a_gap_a_window_begins_anew() -> None:
-    """What a sender that breaks off each half turn gives is no order."""
-    stamp = START + np.arange(400) * 2_000_000 + (np.arange(400) // 20) * 10**9
-    angle = 0.15 * np.arange(400)
-    orders = ResidualOrders()
+    number, orders = np.arange(400), ResidualOrders()
+    stamp, angle = START + number * 2_000_000 + (number // 20) * 10**9, 0.15 * number
     orders.add(stamp, angle, angle, np.ones(400), np.cos(angle))
     assert orders.known() == []
 
@@ -120,21 +106,11 @@ def test_samples_in_pieces_are_samples_together(cuts: tuple[int, ...]) -> None:
     assert len(whole.known()) >= 3
 
 
-# What does not repeat ---
-
-
 def strokes(turns: float, speed: float = 3.0) -> np.ndarray:
     """Angles of a robot that goes to and fro between two rests [rad]."""
     phase = TIME * speed / (2.0 * turns) % 1.0
     way = np.minimum(2.0 * phase, 2.0 - 2.0 * phase)
     return np.asarray(TURN * turns * way**3 * (10.0 - 15.0 * way + 6.0 * way**2) + 1.3)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_noise_does_not_repeat(seed: int) -> None:
-    found = fed(30.0 * TIME, noise(seed, 20.0))
-    assert found
-    assert not any(order.repeats for order in found.values())
 
 
 @pytest.mark.parametrize("turns", [1.2, 2.0, 3.0, 8.3])
@@ -150,75 +126,66 @@ def test_a_torque_that_comes_back_with_the_motion_does_not_repeat(turns: float) 
 JOLT = np.where(np.abs(TIME - 55.0) < 0.4, 500.0 * np.cos(80.0 * TIME), 0.0)
 
 
-@pytest.mark.parametrize(
-    ("wave", "least"),
-    [(JOLT, 0.0), *((20.0 * np.cos(order * 40.0 * TIME), 1.0) for order in (2.02, 4.04, 3.0))],
-    ids=["a transient", "turns with the flexspline", "twice as fast", "not followed"],
-)
+# With the flexspline, twice as fast, and one that is not followed.
+WAVES = [(20.0 * np.cos(order * 40.0 * TIME), 1.0) for order in (2.02, 4.04, 3.0)]
+WAVES += [(JOLT, 0.0), *((noise(seed, 20.0), 0.0) for seed in range(3))]
+
+
+@pytest.mark.parametrize(("wave", "least"), WAVES)
 def test_another_wave_is_not_taken_for_an_order_of_these(wave: np.ndarray, least: float) -> None:
     found = fed(40.0 * TIME, wave + noise(2, 1.0))
+    assert found
     assert not any(each.repeats and each.amplitude > least for each in found.values())
 
 
-# Records of the independent generator ---
-
-OWN = config(array_rate=0.0)
-
-
-@pytest.fixture(scope="module")
-def table() -> TorsionMap:
-    return map_of(OWN.joints[0])
-
-
-def reports(record: Record, table: TorsionMap) -> list[Status]:
+def reports(record: Record) -> list[Status]:
     """What a monitor of the drive as configured says of a record, once a second."""
-    monitor = Monitor(OWN)
-    assert monitor.use_map("joint_1", table)
+    monitor = Monitor(config(array_rate=0.0))
+    assert monitor.use_map("joint_1", map_of_two())  # of the same drive
     stamp = START + np.rint(record.time * 1e9).astype(np.int64)
     torque = np.full(stamp.size, np.nan) if record.torque is None else record.torque
     position = np.stack((record.input_angle, record.output_angle), axis=1)
     messages = states(("joint_1_motor", "joint_1"), stamp, position, np.stack((0.0 * torque, torque), axis=1))
-    said, begin = [], 0
-    for second in range(1, int(record.time[-1])):
-        end = int(np.searchsorted(record.time, second))
+    said, ends = [], np.searchsorted(record.time, range(int(record.time[-1])))
+    for second, (begin, end) in enumerate(itertools.pairwise(ends), 1):
         monitor.mixed_states(stamp[begin:end], (messages.between(begin, end),))
         said += monitor.tick(START + second * 10**9, START, {}).statuses
-        begin = end
     return said
 
 
 @pytest.mark.parametrize("moves", [pytest.param("standard", marks=pytest.mark.slow), "one_direction"])
-def test_an_eccentric_joint_is_named_within_a_minute(moves: str, table: TorsionMap) -> None:
+def test_an_eccentric_joint_is_named_within_a_minute(moves: str) -> None:
     """18 um that nobody configured, in noise of 3 arcsec rms; the residual's rms is below its own limit."""
     rng = np.random.default_rng(5)
     base = dataclasses.replace(NOMINAL, e=18e-6, psi=0.7)
-    said = reports(records.simulate(base, (), getattr(motion, moves)(rng), rng), table)
+    said = reports(records.simulate(base, (), getattr(motion, moves)(rng), rng))
     assert max(float(each.values["residual_rms_arcsec"]) for each in said) < 31.0
     first = next(each for each in said[:60] if each.level)
     assert (first.level, first.values["fault_codes"]) == (1, "RESIDUAL")
     assert first.values["residual_order"] == "input 2"
     assert "twice per input turn" in first.message
-    assert float(first.values["residual_order_amplitude_arcsec"]) > float(
-        first.values["residual_order_limit_arcsec"]
-    )
-    assert float(first.values["residual_order_std_arcsec"]) < 2.0
+    names = ("amplitude", "limit", "std")
+    amplitude, limit, std = (float(first.values[f"residual_order_{name}_arcsec"]) for name in names)
+    assert amplitude > limit
+    assert std < 2.0
+
+
+ROUGH = Recording(noise="heavy", dropouts=0.05, jitter=3e-4)
 
 
 @pytest.mark.parametrize(
     ("moves", "recording"),
     [
         ("standard", Recording(noise="pink", noise_scale=4.0)),
-        pytest.param(
-            "one_speed", Recording(noise="heavy", dropouts=0.05, jitter=3e-4), marks=pytest.mark.slow
-        ),
+        pytest.param("one_speed", ROUGH, marks=pytest.mark.slow),
         ("short", Recording()),
         ("one_direction", Recording(torque=False, noise_scale=2.0, output_bits=18)),
     ],
     ids=["pink 13 arcsec", "heavy, gaps", "short", "no torque, 18 bits"],
 )
-def test_no_order_of_a_faultless_joint_is_named(moves: str, recording: Recording, table: TorsionMap) -> None:
+def test_no_order_of_a_faultless_joint_is_named(moves: str, recording: Recording) -> None:
     rng = np.random.default_rng(11)
-    said = reports(records.simulate(NOMINAL, (), getattr(motion, moves)(rng), rng, recording), table)
+    said = reports(records.simulate(NOMINAL, (), getattr(motion, moves)(rng), rng, recording))
     assert said
     assert not any("repeats" in each.message for each in said)
     if recording.torque:
@@ -229,12 +196,8 @@ def test_the_limit_goes_with_the_accuracy_and_a_large_eccentricity() -> None:
     """Of a configured eccentricity the prediction itself is wrong by a part."""
 
     def limit(**given: float) -> float:
-        return (
-            config(**{f"joint_1__{name}": value for name, value in given.items()})
-            .joints[0]
-            .limits["residual_order"]
-            .warn
-        )
+        (joint,) = config(**{f"joint_1__{name}": value for name, value in given.items()}).joints
+        return joint.limits["residual_order"].warn
 
     assert limit() == 5e-5
     assert limit(accuracy=2.181660e-4) == pytest.approx(2.5e-5, rel=1e-3)

@@ -39,12 +39,10 @@ def test_both_forms_of_transmissions() -> None:
     assert transmissions(URDF.format("-100")) == ([Transmission("elbow", "elbow_motor", -100.0)], [])
     found, problems = transmissions(CONTROL.format(" 1.6e2 "))
     assert problems == []
-    assert found == [
-        Transmission("elbow", "a", 160.0),
-        Transmission("roll", "m1", 100.0),
-        Transmission("pitch", "m2", -100.0),
-    ]
-    assert transmissions("<robot/>") == ([], [])
+    expected = ("elbow", "a", 160.0), ("roll", "m1", 100.0), ("pitch", "m2", -100.0)
+    assert found == [Transmission(*each) for each in expected]
+    for parts in ("", f"{'<a>' * 100_000}{'</a>' * 100_000}"):
+        assert transmissions(f"<robot>{parts}</robot>") == ([], [])
 
 
 @pytest.mark.parametrize("text", ["${ratio}", "a hundred", "", "nan", "0"])
@@ -55,13 +53,11 @@ def test_a_reduction_that_is_none_is_told_and_the_others_are_read(text: str) -> 
     assert ("xacro" in problem) == ("$" in text)
 
 
+PASSWORDS = '<!ENTITY f SYSTEM "file:///etc/passwd">'
 LAUGHS = "".join(f'<!ENTITY l{n} "{f"&l{n - 1};" * 10}">' for n in range(1, 12))
 HOSTILE = {
     "a billion laughs": (f'<!DOCTYPE r [<!ENTITY l0 "ha">{LAUGHS}]><robot>&l11;</robot>', "document type"),
-    "a file of the disk": (
-        '<!DOCTYPE r [<!ENTITY f SYSTEM "file:///etc/passwd">]><robot>&f;</robot>',
-        "document",
-    ),
+    "a file of the disk": (f"<!DOCTYPE r [{PASSWORDS}]><robot>&f;</robot>", "document"),
     "a file of the net": ('<!DOCTYPE r SYSTEM "http://127.0.0.1/r.dtd"><robot/>', "document type"),
     "no XML": ("robot: {}", "is no XML"),
     "cut off": (URDF[:200], "is no XML"),
@@ -86,19 +82,12 @@ def test_what_is_no_description_is_refused_in_one_line(what: str, tmp_path: Path
     assert re.search(f"warning: /robot_description: .*{said}", told.stdout)
 
 
-def test_a_hundred_thousand_nested_elements_are_read() -> None:
-    text = f"<robot>{'<a>' * 100_000}{'</a>' * 100_000}</robot>"
-    assert transmissions(text) == ([], [])
-
-
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An elbow whose angles have a ratio of 100, as ros2_control reports them, and a description."""
-    messages, given = Messages(DYNAMIC), columns(seconds=6.0)
-    plain = messages.write(
-        tmp_path_factory.mktemp("b") / "a.mcap", "/d", robots.dynamic_states(messages, given)
-    )
-    path = plain.with_name("b.mcap")
+    messages, folder = Messages(DYNAMIC), tmp_path_factory.mktemp("b")
+    states = robots.dynamic_states(messages, columns(seconds=6.0))
+    plain, path = messages.write(folder / "a.mcap", "/d", states), folder / "b.mcap"
     with BagReader(plain) as reader, BagWriter(path) as writer:
         (topic,) = reader.topics
         writer.add_topic(topic.name, topic.type_name, topic.offers, topic.definition)
@@ -117,8 +106,7 @@ def asked(folder: Path, bag: Path, *more: object) -> tuple[dict[str, Any], str]:
 
 def test_the_bag_s_own_description_gives_the_ratio(bag: Path, tmp_path: Path) -> None:
     found, told = asked(tmp_path, bag)
-    assert found["description"]["source"] == "/arm/robot_description"
-    assert found["description"]["warnings"] == []
+    assert {"source": "/arm/robot_description", "warnings": []}.items() <= found["description"].items()
     assert "transmissions of /arm/robot_description: elbow 100" in told
     assert "ratio: 100.0" in found["mapping"]
     (joint,) = found["joints"]

@@ -22,49 +22,38 @@ def given() -> dict[str, np.ndarray]:
     return {**made, "output": made["output"] + 2.6, "input": made["input"] + 2.6 * RATIO}
 
 
-def of_both(
-    given: dict[str, np.ndarray], every: int, value: float, effort: float | None
-) -> dict[str, np.ndarray]:
+def of_both(given: dict[str, np.ndarray], every: int, value: float, effort: float | None):
     """Rows with a value between the joint's own, a millisecond after each of `every`."""
-    other = given["time"][::every] + 1e-3
-    order = np.argsort(np.concatenate((given["time"], other)), kind="stable")
-    foreign = {"time": other, "input": 0 * other + value, "output": 0 * other + value}
-    if effort is not None:
-        foreign["torque"] = 0 * other + effort
-    else:
-        foreign["torque"] = given["torque"][::every]
+    time = given["time"][::every] + 1e-3
+    order = np.argsort(np.concatenate((given["time"], time)), kind="stable")
+    torque = given["torque"][::every] if effort is None else 0 * time + effort
+    foreign = {"time": time, "input": 0 * time + value, "output": 0 * time + value, "torque": torque}
     return {name: np.concatenate((given[name], foreign[name]))[order] for name in foreign}
 
 
-@pytest.mark.parametrize(
-    ("every", "value", "effort"),
-    [(1, 0.0, 0.0), (1, -1.25, 0.0), (4, 0.0, None), (20, -1.25, 0.0), (20, 0.0, None)],
-)
-def test_rows_of_another_are_left_out_and_told(
-    every: int, value: float, effort: float | None, given: dict[str, np.ndarray], tmp_path: Path
-) -> None:
+OTHERS = [(1, 0.0, 0.0), (1, -1.25, 0.0), (4, 0.0, None), (20, -1.25, 0.0), (20, 0.0, None)]
+
+
+@pytest.mark.parametrize(("every", "value", "effort"), OTHERS)
+def test_rows_of_another_are_left_out_and_told(every, value, effort, given, tmp_path: Path) -> None:
     """Zeros, another pose, only angles; from a bag and a table, for `diagnose` and for `ripple`."""
     mixed, expected = of_both(given, every, value, effort), prepared(given)
-    block = np.zeros_like(mixed["torque"]), mixed["torque"]
-    bag = write(tmp_path / "a.mcap", states(mixed["time"], NAMES, (mixed["input"], mixed["output"]), block))
+    time, angles, torque = mixed["time"], (mixed["input"], mixed["output"]), mixed["torque"]
+    bag = write(tmp_path / "a.mcap", states(time, NAMES, angles, (0.0 * torque, torque)))
     table = write_table(tmp_path / "a.csv", mixed)
     count = given["time"][::every].size
+    turned = given["input"] - given["input"][0]
     for record in (read_bags([bag], joint()), read_tables([table], Table(COLUMNS), joint())):
-        assert_allclose(
-            record.input_angle - record.input_angle[0], given["input"] - given["input"][0], 0, 1e-6
-        )
+        assert_allclose(record.input_angle - record.input_angle[0], turned, 0, 1e-6)
         assert_allclose(record.reported_torque, expected.reported_torque, rtol=0, atol=1e-9)
         (said,) = record.stamps.others
         assert said.startswith(f"{count} rows with ")
         assert f"output {value % (2 * np.pi):g} rad" in said
     one = {"time": "t", "output": "link", "torque": "tau"}
-    alone = write(
-        tmp_path / "o.mcap", states(mixed["time"], NAMES[1:], (mixed["output"],), (mixed["torque"],))
-    )
+    alone = write(tmp_path / "o.mcap", states(time, NAMES[1:], angles[1:], (torque,)))
+    turned = RATIO * (given["output"] - given["output"][0])
     for motion in (read_motion([alone], joint()), read_table_motion([table], Table(one), joint())):
-        assert motion is not None
-        turned = motion.input_angle - motion.input_angle[0]
-        assert_allclose(turned, RATIO * (given["output"] - given["output"][0]), rtol=0, atol=1e-6)
+        assert_allclose(motion.input_angle - motion.input_angle[0], turned, rtol=0, atol=1e-6)
         assert motion.stamps.others
 
 
@@ -83,24 +72,19 @@ def own(seed: int) -> dict[str, np.ndarray]:
     rng = np.random.default_rng(seed)
     time = np.arange(1200) / 200.0
     angle = 0.8 * np.sin(2.0 * time) * (rng.uniform(size=4).repeat(300) > 0.5)
-    counts = np.round(angle / 1e-3) * 1e-3
-    steps = angle + 0.031 * (time > 3.0)
-    wrapped = (40.0 * time + np.pi) % (2.0 * np.pi) - np.pi
-    spikes = np.where(rng.uniform(size=1200) < 0.01, rng.normal(size=1200), angle)
-    torque = np.round(20.0 * np.sin(3.0 * time) + rng.normal(size=1200))
     return {
         "angle": angle,
-        "counts": counts,
-        "steps": steps,
-        "wrapped": wrapped,
-        "spikes": spikes,
-        "torque": torque,
+        "counts": np.round(angle / 1e-3) * 1e-3,
+        "steps": angle + 0.031 * (time > 3.0),
+        "wrapped": (40.0 * time + np.pi) % (2.0 * np.pi) - np.pi,
+        "spikes": np.where(rng.uniform(size=1200) < 0.01, rng.normal(size=1200), angle),
+        "torque": np.round(20.0 * np.sin(3.0 * time) + rng.normal(size=1200)),
         "torque under a brake": np.where(np.sin(9.0 * time) > 0.0, 20.0, 0.0),
     }
 
 
 @pytest.mark.parametrize("seed", range(2))
-@pytest.mark.parametrize("name", list(own(0)))
+@pytest.mark.parametrize("name", own(0))
 def test_what_a_joint_does_itself_stays(name: str, seed: int) -> None:
     time, column = np.arange(1200) / 200.0, own(seed)[name]
     role = "torque" if name.startswith("torque") else "input"

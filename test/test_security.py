@@ -51,16 +51,9 @@ def used(observer: Node, name: str, namespace: str) -> dict[tuple[str, str], set
 
 def differences(enclave: str, names: dict[tuple[str, str], set[str]]) -> Iterator[str]:
     for right, patterns in allowed(enclave).items():
-        yield from (
-            f"{right}: {name} is not allowed"
-            for name in names[right]
-            if not any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns)
-        )
-        yield from (
-            f"{right}: nothing is {pattern}"
-            for pattern in patterns
-            if not fnmatch.filter(names[right], pattern)
-        )
+        used_of = {pattern: set(fnmatch.filter(names[right], pattern)) for pattern in patterns}
+        yield from (f"{right}: {name} is not allowed" for name in names[right].difference(*used_of.values()))
+        yield from (f"{right}: nothing is {pattern}" for pattern, found in used_of.items() if not found)
 
 
 @pytest.fixture(scope="module")

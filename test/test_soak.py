@@ -1,5 +1,6 @@
 """How `make soak` counts: what is lost, what a full disk excuses, what memory does."""
 
+import dataclasses
 import subprocess
 import sys
 from pathlib import Path
@@ -27,9 +28,7 @@ SENT = np.column_stack((7 + 10**6 * np.arange(60_000), 10**6 * np.arange(60_000)
         ([(20_000, 24_000), (50_000, 52_000)], [(20, 24), (50, 52)], (0, 6000)),
     ],
 )
-def test_a_full_disk_excuses_one_run_of_messages_about_its_time(
-    gone: list[tuple[int, int]], full: list[tuple[int, int]], found: tuple[int, int]
-) -> None:
+def test_a_full_disk_excuses_one_run_of_messages_about_its_time(gone, full, found) -> None:
     there = np.ones(len(SENT), bool)
     for first, end in gone:
         there[first:end] = False
@@ -58,32 +57,25 @@ def test_retention_and_diagnoses_are_judged() -> None:
     """Old files go; each diagnosis but the last ends with a verdict."""
     seen = soak.Observed(max_age=60.0, oldest=70.0, deleted=3)
     seen.counts |= {"diagnosis begun": 3, "verdict": 2}
-
-    def holds() -> list[bool]:
-        return [row[3] for row in soak.of_log(seen, 600.0)]
-
-    assert holds() == [True, True]
-    seen.counts["verdict"] = 1
-    assert holds() == [True, False]
-    seen.counts["verdict"], seen.failed_diagnoses = 2, ["failed: was ended by SIGKILL"]
-    assert holds() == [True, False]
-    seen.failed_diagnoses, seen.oldest = [], 90.0
-    assert holds() == [False, True]
-    seen.oldest, seen.deleted = 70.0, 0
-    assert holds() == [False, True]
+    for change, holds in (
+        ({}, [True, True]),
+        ({"counts": seen.counts | {"verdict": 1}}, [True, False]),
+        ({"failed_diagnoses": ["failed: was ended by SIGKILL"]}, [True, False]),
+        ({"oldest": 90.0}, [False, True]),
+        ({"deleted": 0}, [False, True]),
+    ):
+        changed = dataclasses.replace(seen, **change)
+        assert [row[3] for row in soak.of_log(changed, 600.0)] == holds, change
 
 
 def test_memory_threads_and_open_files_are_those_of_the_process(tmp_path: Path) -> None:
     """Of the log's files one that is there does not count, one that was deleted does."""
     code = "input(); kept = b'1' * 40_000_000; opened = open('/dev/null'); Thread(target=input).start()"
-    code = f"{code}; there, gone = (open('{tmp_path}/' + name, 'w') for name in ('there', 'gone'))"
+    code += f"; there, gone = (open('{tmp_path}/' + name, 'w') for name in ('there', 'gone'))"
     code = f"{code}; os.unlink(gone.name)"
     code = f"import os; from threading import Thread; print(flush=True); {code}; print(flush=True)"
-    command = [sys.executable, "-c", code]
-    seen = soak.Observed()
+    command, seen = [sys.executable, "-c", code], soak.Observed()
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
-        assert process.stdin is not None
-        assert process.stdout is not None
         for at in (0.0, 1.0):
             assert process.stdout.readline() == b"\n"
             seen.take(at, process.pid, tmp_path)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
 
 from hd_diag.diagnosis.stamps import without_jitter
 
@@ -21,46 +20,44 @@ def jittered(seed: int = 0) -> np.ndarray:
     return EVEN + np.random.default_rng(seed).normal(0.0, JITTER / RATE, COUNT)
 
 
-def test_jitter_of_stamps_alone_is_taken_out() -> None:
+STEP = 2.0 * np.pi / 2**12
+GAPS = np.random.default_rng(1).random(COUNT) > 0.05
+STRETCH = np.arange(COUNT) // 1000
+
+
+@pytest.mark.parametrize(
+    ("time", "shown", "stretch", "most"),
+    [
+        (EVEN, angle(EVEN), ONE, 0.1),
+        (EVEN, np.round(angle(EVEN) / STEP) * STEP, ONE, 0.1),
+        (EVEN, np.round(angle(EVEN) / STEP * 256) * STEP / 256, ONE, 0.1),
+        (EVEN[GAPS], angle(EVEN)[GAPS], ONE[GAPS], 0.15),
+        (EVEN + 3.37 * STRETCH / RATE + 5.0 * STRETCH, angle(EVEN), STRETCH, 0.15),
+    ],
+    ids=["an angle", "counts", "fine counts", "samples are lost", "stretches have clocks of their own"],
+)
+def test_jitter_of_stamps_alone_is_taken_out(time, shown, stretch, most) -> None:
     """What is left of it is the mean over half a second: a tenth of it and less."""
-    stamps = jittered()
-    found = without_jitter(stamps, angle(EVEN), ONE)
-    assert np.std(found - EVEN) < 0.1 * JITTER / RATE
-    assert np.abs(np.diff(found) * RATE - 1.0).max() < 0.02
+    jitter = jittered() - EVEN
+    found = without_jitter(time + (jitter[GAPS] if time.size < COUNT else jitter), shown, stretch)
+    assert np.std(found - time) < most * JITTER / RATE
+    assert stretch is not ONE or np.abs(np.diff(found) * RATE - 1.0).max() < 0.02
 
 
-def test_samples_that_were_taken_unevenly_keep_their_stamps() -> None:
-    stamps = jittered()
-    assert without_jitter(stamps, angle(stamps), ONE) is stamps
+JUMPS = np.sort(EVEN + np.random.default_rng(2).normal(0.0, 1.0 / RATE, COUNT))
 
 
-@pytest.mark.parametrize("counts", [2**12, 2**20])
-def test_an_encoder_that_counts_tells_as_well(counts: int) -> None:
-    step = 2.0 * np.pi / counts
-    even, uneven = (np.round(angle(time) / step) * step for time in (EVEN, jittered()))
-    assert np.std(without_jitter(jittered(), even, ONE) - EVEN) < 0.1 * JITTER / RATE
-    assert_array_equal(without_jitter(jittered(), uneven, ONE), jittered())
-
-
-def test_samples_that_are_lost_are_no_jitter() -> None:
-    kept = np.random.default_rng(1).random(COUNT) > 0.05
-    found = without_jitter(jittered()[kept], angle(EVEN)[kept], ONE[kept])
-    assert np.std(found - EVEN[kept]) < 0.15 * JITTER / RATE
-
-
-def test_every_stretch_has_a_clock_of_its_own() -> None:
-    """After a gap the stamps may be off by any share of a step."""
-    stretch = np.arange(COUNT) // 1000
-    moved = EVEN + 3.37 * stretch / RATE + 5.0 * stretch
-    found = without_jitter(jittered() + (moved - EVEN), angle(EVEN), stretch)
-    assert np.std(found - moved) < 0.15 * JITTER / RATE
-
-
-def test_stamps_that_do_not_jitter_stay() -> None:
-    assert without_jitter(EVEN, angle(EVEN), ONE) is EVEN
-
-
-def test_stamps_that_jump_by_half_a_step_and_more_stay() -> None:
-    """Which sample was taken when cannot be told."""
-    stamps = np.sort(EVEN + np.random.default_rng(2).normal(0.0, 1.0 / RATE, COUNT))
-    assert without_jitter(stamps, angle(EVEN), ONE) is stamps
+@pytest.mark.parametrize(
+    ("stamps", "shown"),
+    [
+        (jittered(), angle(jittered())),
+        (jittered(), np.round(angle(jittered()) / STEP) * STEP),
+        (jittered(), np.round(angle(jittered()) / STEP * 256) * STEP / 256),
+        (EVEN, angle(EVEN)),
+        (JUMPS, angle(EVEN)),
+    ],
+    ids=["samples are uneven", "counts are", "fine counts are", "no jitter", "half a step and more"],
+)
+def test_other_stamps_stay(stamps, shown) -> None:
+    """Where they jump by half a step which sample was taken when cannot be told."""
+    assert without_jitter(stamps, shown, ONE) is stamps

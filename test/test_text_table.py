@@ -27,15 +27,16 @@ from hd_diag.records.text_table import quantity
 
 ORDER = ("time", "input", "output", "torque")
 NAMED = {"time": "t", "input": "m", "output": "l", "torque": "tau"}
+Columns = dict[str, np.ndarray]
 NUMBERED = {"time": "1", "input": "2", "output": "3", "torque": "4"}
 
 
 @pytest.fixture(scope="module")
-def given() -> dict[str, np.ndarray]:
+def given() -> Columns:
     return columns(seconds=2.0)
 
 
-def rows(given: dict[str, np.ndarray], between: str, decimal: str = ".") -> list[str]:
+def rows(given: Columns, between: str, decimal: str = ".") -> list[str]:
     values = np.stack([given[name] for name in ORDER], axis=1)
     return [between.join(f"{v:.17g}".replace(".", decimal) for v in row) for row in values]
 
@@ -45,8 +46,12 @@ def expected() -> Record:
     return prepared(columns(seconds=2.0))
 
 
+def written(path: Path, *lines: str) -> Path:
+    path.write_text("\n".join(lines))
+    return path
+
+
 def check(path: Path, table: Table, count: int = 1) -> None:
-    """A file holds the record as often as told."""
     record = read_tables([path], table, joint())
     for name in ("time", "input_angle", "output_angle", "reported_torque"):
         own = getattr(record, name).reshape(count, -1)
@@ -74,13 +79,12 @@ BETWEEN = [(",", "."), (";", ","), ("\t", ","), ("|", "."), (" ", "."), ("   ", 
     ],
 )
 def test_rows_are_found_below_whatever_stands_above(
-    above: str, between: str, decimal: str, given: dict[str, np.ndarray], tmp_path: Path
+    above: str, between: str, decimal: str, given: Columns, tmp_path: Path
 ) -> None:
     head = [line.replace("{}", between) for line in ABOVE[above]]
     if above == "units" and between.isspace():
         head[1] = head[1].replace("N m", "Nm")
-    path = tmp_path / "a.csv"
-    path.write_text("\n".join([*head, *rows(given, between, decimal)]))
+    path = written(tmp_path / "a.csv", *head, *rows(given, between, decimal))
     check(path, Table(NUMBERED))
     if head:
         check(path, Table(NAMED))
@@ -88,9 +92,7 @@ def test_rows_are_found_below_whatever_stands_above(
 
 @pytest.mark.parametrize("encoding", ["cp1252", "utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
-def test_encodings_of_spreadsheets(
-    encoding: str, end: str, given: dict[str, np.ndarray], tmp_path: Path
-) -> None:
+def test_encodings_of_spreadsheets(encoding: str, end: str, given: Columns, tmp_path: Path) -> None:
     """An angle in °, named with an umlaut, in a Windows code page or as Excel's Unicode text."""
     shown = {**given, "output": np.degrees(given["output"])}
     path, header = tmp_path / "a.csv", "Zeit [s];Motor;Länge (°);tau"
@@ -99,35 +101,30 @@ def test_encodings_of_spreadsheets(
 
 
 @pytest.mark.parametrize("above", ["names", "remarks", "marked", "units"])
-def test_files_put_one_behind_the_other_are_recordings(
-    above: str, given: dict[str, np.ndarray], tmp_path: Path
-) -> None:
-    path, head = tmp_path / "a.csv", [line.replace("{}", ";") for line in ABOVE[above]]
-    path.write_text("\n".join([*head, *rows(given, ";")] * 2))
+def test_files_put_one_behind_the_other_are_recordings(above: str, given: Columns, tmp_path: Path) -> None:
+    head = [line.replace("{}", ";") for line in ABOVE[above]]
+    path = written(tmp_path / "a.csv", *[*head, *rows(given, ";")] * 2)
     check(path, Table(NAMED), 2)
     assert np.unique(read_tables([path], Table(NAMED), joint()).bag).size == 2
 
 
 @pytest.mark.parametrize("style", ["{:%Y-%m-%dT%H:%M:%S.%f}Z", "{:%Y-%m-%d %H:%M:%S.%f}", "{:%H:%M:%S.%f}"])
-def test_dates_and_times_of_the_day(style: str, given: dict[str, np.ndarray], tmp_path: Path) -> None:
+def test_dates_and_times_of_the_day(style: str, given: Columns, tmp_path: Path) -> None:
     begin = datetime(2024, 2, 28, 23, 59, 50, tzinfo=timezone.utc)
     if "%Y" not in style:
         begin -= timedelta(hours=5)
     told = [style.format(begin + timedelta(seconds=float(t))) for t in given["time"]]
     lines = [f"{t},{line.partition(',')[2]}" for t, line in zip(told, rows(given, ","), strict=True)]
-    path = tmp_path / "a.csv"
-    path.write_text("\n".join(["t,m,l,tau", *lines]))
-    check(path, Table(NAMED))
+    check(written(tmp_path / "a.csv", "t,m,l,tau", *lines), Table(NAMED))
 
 
 @drawn(st.datetimes(datetime(1970, 1, 1), datetime(2100, 1, 1)), st.integers(-12 * 60, 14 * 60))
 @settings(max_examples=50, deadline=None)
 def test_a_date_is_the_standard_library_s(when: datetime, minutes: int) -> None:
     aware = when.replace(tzinfo=timezone(timedelta(minutes=minutes)))
+    plain = when.replace(tzinfo=timezone.utc).timestamp()
     assert quantity(aware.isoformat()) == pytest.approx(aware.timestamp(), abs=1e-6)
-    assert quantity(when.isoformat(" ")) == pytest.approx(
-        when.replace(tzinfo=timezone.utc).timestamp(), abs=1e-6
-    )
+    assert quantity(when.isoformat(" ")) == pytest.approx(plain, abs=1e-6)
 
 
 @drawn(st.text("0123456789.,;|\t #-eET:[]()abcN\n\"'", max_size=300))
@@ -165,13 +162,12 @@ def test_a_pipe_is_refused_at_once(verb: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
 @pytest.mark.parametrize("read", [read_tables, read_table_motion])
 def test_a_time_in_another_unit_is_asked_about(
-    unit: str, factor: float, read: Callable[..., object], given: dict[str, np.ndarray], tmp_path: Path
+    unit: str, factor: float, read: Callable[..., object], given: Columns, tmp_path: Path
 ) -> None:
-    path = tmp_path / "a.csv"
-    path.write_text("\n".join(["t,m,l,tau", *rows({**given, "time": factor * given["time"]}, ",")]))
-    with pytest.raises(
-        RecordError, match=rf"Hz\): is the time in {unit}\?.* give the column as time=t\[{unit}\],"
-    ):
+    shown = rows({**given, "time": factor * given["time"]}, ",")
+    path = written(tmp_path / "a.csv", "t,m,l,tau", *shown)
+    asked = rf"Hz\): is the time in {unit}\?.* give the column as time=t\[{unit}\],"
+    with pytest.raises(RecordError, match=asked):
         read([path], Table(NAMED), joint())
     check(path, Table({**NAMED, "time": f"t[{unit}]"}))
     read([path], Table({**NAMED, "time": "t[s]"}), joint())  # if it is so
@@ -181,38 +177,28 @@ def test_a_joint_that_needs_hours_for_a_turn_is_asked_about(tmp_path: Path) -> N
     """Recorded at 4 kHz, so that ms are often enough, from a bag too."""
     time = np.arange(2000) / 4.0
     angle = 1e-3 * time
-    path = tmp_path / "a.csv"
-    path.write_text(
-        "\n".join(
-            ["t,m,l,tau", *rows({"time": time, "input": 100 * angle, "output": angle, "torque": angle}, ",")]
-        )
-    )
+    angles = 100 * angle, angle
+    shown = rows(dict(zip(ORDER, (time, *angles, angle), strict=True)), ",")
     with pytest.raises(RecordError, match=r"would need 1\.7 hours for a turn: is the time in ms\?"):
-        read_tables([path], Table(NAMED), joint())
+        read_tables([written(tmp_path / "a.csv", "t,m,l,tau", *shown)], Table(NAMED), joint())
     for step in (1.0, 8.0):
-        bag = write(
-            tmp_path / f"{step}.mcap", states(step * time, NAMES, (100 * angle, angle), (angle, angle))
-        )
+        bag = write(tmp_path / f"{step}.mcap", states(step * time, NAMES, angles, (angle, angle)))
         for read in (read_bags, read_motion):
             with pytest.raises(RecordError, match=r"is the time in ms\? The robot's driver has to stamp"):
                 read([bag], joint())
 
 
+TURNED = 180 / np.pi
 GUESSED = {
-    "named": (
-        "t,motor_position,link_position,tau",
-        {},
-        "time=t,input=motor_position,output=link_position,torque=tau",
-    ),
     "units": (
         "t [ms],motor [deg],link [turns],torque [N mm]",
-        {"time": 1e3, "input": 180 / np.pi, "output": 0.5 / np.pi, "torque": 1e3},
+        {"time": 1e3, "input": TURNED, "output": TURNED / 360, "torque": 1e3},
         "time=t,input=motor[deg],output=link[turns],torque=torque[N mm]",
     ),
     "milliseconds": ("stamp,m,l,effort", {"time": 1e3}, "time=stamp[ms],input=m,output=l,torque=effort"),
     "low lines": (
         "time_us,motor_q_deg,link_q_rad,from_current_Nm",
-        {"time": 1e6, "input": 180 / np.pi},
+        {"time": 1e6, "input": TURNED},
         "time=time_us[us],input=motor_q_deg[deg],output=link_q_rad,torque=from_current_Nm[Nm]",
     ),
     "torque of a current": (
@@ -226,14 +212,11 @@ GUESSED = {
 
 
 @pytest.mark.parametrize("case", list(GUESSED))
-def test_columns_are_guessed_and_the_guess_is_taken(
-    case: str, given: dict[str, np.ndarray], tmp_path: Path
-) -> None:
+def test_columns_are_guessed_and_the_guess_is_taken(case: str, given: Columns, tmp_path: Path) -> None:
     """`topics` and `diagnose` without --columns print the same line, which gives the record."""
     header, factors, guess = GUESSED[case]
-    path = tmp_path / "a.csv"
     shown = {name: column * factors.get(name, 1.0) for name, column in given.items()}
-    path.write_text("\n".join([header, *rows(shown, ",")]))
+    path = written(tmp_path / "a.csv", header, *rows(shown, ","))
     result = hd_diag("topics", path)
     assert (result.exit_code, result.stderr) == (0, "")
     line = result.stdout.splitlines()[-1]
@@ -245,28 +228,14 @@ def test_columns_are_guessed_and_the_guess_is_taken(
     of_report = line.replace("diagnose", "report", 1)
     assert hd_diag("report", path).stderr.endswith(f"needs --columns, such as: {of_report}\n")
     taken = dict(pair.split("=", 1) for pair in guess.split(","))
-    if "torque" not in taken:
-        taken["torque"] = "4"
-    check(path, Table(taken))
+    check(path, Table({"torque": "4"} | taken))
 
 
-def test_one_angle_in_a_table_is_for_ripple(given: dict[str, np.ndarray], tmp_path: Path) -> None:
-    path = tmp_path / "a.csv"
-    lines = (
-        f"{t:.9g};{q:.9g};{tau:.9g}"
-        for t, q, tau in zip(given["time"], given["output"], given["torque"], strict=True)
-    )
-    path.write_text("\n".join(["t;q;tau", *lines]))
-    line = hd_diag("topics", path).stdout.splitlines()[-1]
-    assert line == f"hd-diag ripple {path} --columns time=t,output=q,torque=tau"
-    result = hd_diag(*shlex.split(line)[1:])
-    assert "columns" not in result.stderr
-
-
-def test_a_measured_torque_is_guessed_before_a_models(given: dict[str, np.ndarray], tmp_path: Path) -> None:
-    path = tmp_path / "a.csv"
-    model = 0.1 * given["torque"]
+def test_one_angle_in_a_table_is_for_ripple(given: Columns, tmp_path: Path) -> None:
+    """With the torque that was measured, not that of a model."""
+    path, model = tmp_path / "a.csv", 0.1 * given["torque"]
     columns = given["time"], given["output"], model, given["torque"]
-    np.savetxt(path, np.stack(columns, axis=1), delimiter=",", header="t,q,tau_model,tau", comments="")
+    np.savetxt(path, np.stack(columns, axis=1), delimiter=";", header="t;q;tau_model;tau", comments="")
     line = hd_diag("topics", path).stdout.splitlines()[-1]
     assert line == f"hd-diag ripple {path} --columns time=t,output=q,torque=tau"
+    assert "columns" not in hd_diag(*shlex.split(line)[1:]).stderr

@@ -39,10 +39,8 @@ def test_what_a_thread_raises_is_raised(monkeypatch, broken):
 
 def test_cores_are_those_that_the_process_may_use():
     assert threads.cores() == len(os.sched_getaffinity(0))
-    code = (
-        "import os; from hd_diag.model import threads;"
-        "os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); print(threads.cores())"
-    )
+    code = "import os; from hd_diag.model import threads;"
+    code += "os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); print(threads.cores())"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.stdout.strip() == "1", done.stderr
     # One in a process of a pool.

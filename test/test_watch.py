@@ -3,14 +3,10 @@
 import contextlib
 import io
 import json
-import subprocess
-import sys
-from collections.abc import Mapping
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from live import START, Recording, config, sample
 from rich.cells import cell_len
@@ -26,8 +22,7 @@ TOPIC = "/diagnostics"
 HOSTILE = "[red]x[/red]\x1b[2J\x1b]0;t\x07\u202egnp\r\n\t" + "宽" * 300 + "\ud800"
 
 
-def reported() -> Mapping[str, str]:
-    """Values of a real report of one sample."""
+def reported() -> dict[str, str]:
     recording = Recording()
     session = Session(config("joint_1", joint_1__eccentricity__magnitude=18e-6), recording)
     session.start(START)
@@ -42,13 +37,6 @@ def reported() -> Mapping[str, str]:
 REAL = reported()
 
 
-def message(
-    joint: str = "joint_1", level: int = 0, text: str = "OK", node: str = "/hd_diag", **values: str
-) -> SimpleNamespace:
-    said = {**REAL, "fault_code": "OK", "fault_codes": "OK", **values}
-    return status(PREFIX + joint, level, text, f"{node}/{joint}", **said)
-
-
 def status(name: str, level: int = 0, text: str = "", identifier: str = "", **values: str) -> SimpleNamespace:
     """A DiagnosticStatus as rclpy gives it."""
     pairs = [SimpleNamespace(key=key, value=value) for key, value in values.items()]
@@ -56,64 +44,56 @@ def status(name: str, level: int = 0, text: str = "", identifier: str = "", **va
     return SimpleNamespace(**own, values=pairs)
 
 
-def array(*statuses: SimpleNamespace) -> SimpleNamespace:
-    return SimpleNamespace(status=statuses)
+def message(joint="joint_1", level=0, text="OK", node="/hd_diag", **values: str) -> SimpleNamespace:
+    said = {**REAL, "fault_code": "OK", "fault_codes": "OK", **values}
+    return status(PREFIX + joint, level, text, f"{node}/{joint}", **said)
 
 
-def watched(*statuses: SimpleNamespace, **asked: Any) -> Watch:
+def take(watch: Watch, now: float, *statuses: SimpleNamespace) -> None:
+    watch.take(TOPIC, SimpleNamespace(status=statuses), now)
+
+
+def watched(*statuses: SimpleNamespace, **asked) -> Watch:
     watch = Watch(**asked)
-    watch.take(TOPIC, array(*statuses), 0.0)
+    take(watch, 0.0, *statuses)
     return watch
 
 
-def drawn(watch: Watch, now: float = 0.0, width: int = 80, **more: Any) -> str:
-    """What a terminal shows."""
+def drawn(watch: Watch, now: float = 0.0, width: int = 80, **more) -> str:
     console = Console(file=io.StringIO(), width=width, highlight=False, **more)
     console.print(picture(watch, now))
     return console.file.getvalue()  # type: ignore[attr-defined, no-any-return]
 
 
-def line(*statuses: SimpleNamespace) -> str:
-    """What is said of one joint below the table."""
-    (view,) = watched(*statuses).view(0.0)
-    return in_words(view)
-
-
 class Terminal(io.StringIO):
-    """A stream that says it is a terminal."""
-
     def isatty(self) -> bool:
         return True
 
 
-# State ---
-
-
-def test_the_state_needs_neither_ros_nor_a_terminal() -> None:
-    edges = "{'rclpy', 'diagnostic_msgs', 'rich', 'click'}"
-    code = f"import sys, hd_diag.watch.state; print({edges} & set(sys.modules))"
-    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "set()\n"
-
-
 def test_only_joints_that_are_asked_for_are_shown() -> None:
-    watch = watched(message("a"), message("b"), status("camera"), joints=("b", "c"))
+    watch = Watch(("b", "c"))
+    assert drawn(watch) == "no report of b, c yet: no diagnostics: same ROS_DOMAIN_ID?\n"
+    take(watch, 0.0, status("camera"))
+    assert watch.lack("yet") == "no report of b, c yet: only diagnostics of others came"
+    take(watch, 0.0, message("a"), message("b"), status("camera"))
     assert [view.joint for view in watch.view(0.0)] == ["b"]
     assert watch.missing() == ["c"]
     assert drawn(watch).startswith("no report of c yet: there is /hd_diag a, /hd_diag b\n")
+    take(watch, 0.0, message("c"))
+    assert watch.lack("yet") == ""
 
 
-@pytest.mark.parametrize(
-    ("asked", "joints"), [("arm", "a"), ("/arm", "a"), ("/arm/", "a"), ("/arm/left", "a"), ("/", "ab")]
-)
-def test_a_namespace_holds_what_is_below_it(asked: str, joints: str) -> None:
+def test_a_namespace_holds_what_is_below_it() -> None:
     statuses = message("a", node="/arm/left/hd_diag"), message("b", node="/army/hd_diag")
-    assert [view.joint for view in watched(*statuses, namespaces=(asked,)).view(0.0)] == [*joints]
+    for asked in ("arm", "/arm", "/arm/", "/arm/left", "/"):
+        views = watched(*statuses, namespaces=(asked,)).view(0.0)
+        assert [view.joint for view in views] == (["a", "b"] if asked == "/" else ["a"]), asked
 
 
 def test_two_nodes_with_one_joint_on_one_topic_are_two_rows() -> None:
     watch = watched(message("a", node="/x", samples="1"))
-    watch.take(TOPIC, array(message("a", node="/y", samples="2")), 0.5)
-    watch.take(TOPIC, array(message("a", node="/x", samples="3")), 1.0)
+    take(watch, 0.5, message("a", node="/y", samples="2"))
+    take(watch, 1.0, message("a", node="/x", samples="3"))
     seen = [(view.node, view.values["samples"], view.age) for view in watch.view(1.0)]
     assert seen == [("/x", 3.0, 0.0), ("/y", 2.0, 0.5)]
     assert all(words in drawn(watch) for words in ("/x a: OK; 3 samples", "/y a: OK; 2 samples"))
@@ -122,41 +102,26 @@ def test_two_nodes_with_one_joint_on_one_topic_are_two_rows() -> None:
 def test_a_flood_of_joints_texts_and_values_is_bounded() -> None:
     watch = watched(*[message(f"j{i}") for i in range(5000)])
     many = {f"k{i}": "v" for i in range(9999)}
-    watch.take(TOPIC, array(message("j0", **many, log_state="x" * 10**6)), 1.0)
-    watch.take(TOPIC, array(*[message("j0", node=f"/n{i}") for i in range(100)]), 1.0)
+    take(watch, 1.0, message("j0", **many, log_state="x" * 10**6))
+    take(watch, 1.0, *[message("j0", node=f"/n{i}") for i in range(100)])
     views = watch.view(1.0)
-    assert len(views) == 1024
-    first = next(view for view in views if view.joint == "j0")
-    assert len(first.values) <= 256
-    assert max(len(str(value)) for value in first.values.values()) <= 2000
+    values = next(view for view in views if view.joint == "j0").values
+    assert (len(views), len(values) <= 256) == (1024, True)
+    assert max(len(str(value)) for value in values.values()) <= 2000
 
 
 @pytest.mark.parametrize(("period", "silent_after"), [(0.1, 3.0), (1.0, 3.0), (10.0, 30.0)])
 def test_a_joint_is_silent_after_three_periods(period: float, silent_after: float) -> None:
     watch = watched(message(level=2, fault_code="INTERFERENCE"))
-    watch.take(TOPIC, array(message(level=2, fault_code="INTERFERENCE")), period)
+    take(watch, period, message(level=2, fault_code="INTERFERENCE"))
     assert not watch.view(period + 0.99 * silent_after)[0].silent
     silent = watch.view(period + 1.01 * silent_after)[0]
     assert silent.silent
     assert f"no report for {silent.age:.0f} s; the last: INTERFERENCE" in in_words(silent)
-    watch.take(TOPIC, array(message()), 100.0)
+    take(watch, 100.0, message())
     assert not watch.view(100.0)[0].silent
-
-
-def test_a_node_without_samples_is_stale_though_it_reports() -> None:
     (view,) = watched(message(level=2, fault_code="STALE", fault_codes="STALE RESIDUAL")).view(0.0)
-    assert (view.stale, view.silent) == (True, False)
-
-
-def test_what_was_seen_instead() -> None:
-    watch = Watch(("a",), ("/arm",))
-    assert drawn(watch).splitlines() == ["no report of a yet: no diagnostics: same ROS_DOMAIN_ID?"]
-    watch.take(TOPIC, array(status("camera")), 0.0)
-    assert watch.lack("yet") == "no report of a yet: only diagnostics of others came"
-    watch.take(TOPIC, array(message("b")), 0.0)
-    assert watch.lack("yet") == "no report of a yet: there is /hd_diag b"
-    watch.take(TOPIC, array(message("a", node="/arm/hd_diag")), 0.0)
-    assert watch.lack("yet") == ""
+    assert (view.stale, view.silent) == (True, False)  # a node without samples reports
 
 
 def test_json_holds_every_value_with_its_kind() -> None:
@@ -172,27 +137,28 @@ def test_json_holds_every_value_with_its_kind() -> None:
 
 
 @given(st.text(), st.text(), st.text(), st.text())
+@example(HOSTILE, HOSTILE, HOSTILE, "9" * 400)
+@example("joint_1", "joint_1", "joint_1", "-1e300")
 def test_any_text_gives_valid_json_and_printable_lines(joint: str, text: str, log: str, number: str) -> None:
-    watch = watched(message(joint, 7, text, log_state=log, residual_rms_arcsec=number))
+    """No line is wider than the terminal."""
+    own = {"fault_code": text, "log_state": log, "residual_rms_arcsec": number, "samples": number}
+    watch = watched(message(joint, 7, text, **own), joints=(joint, joint + "?"))
     said = json.loads(json.dumps(watch.as_json(0.0), allow_nan=False))
     assert said["joints"][0]["joint"] == joint[:2000]
-    assert all(shown.isprintable() for shown in [*drawn(watch).splitlines(), in_words(watch.view(0.0)[0])])
-
-
-# What is shown ---
+    assert in_words(watch.view(0.0)[0]).isprintable()
+    for width in (20, 79, 80, 120, 300):
+        lines = drawn(watch, width=width).splitlines()
+        assert all(line.isprintable() and cell_len(line) <= width for line in lines)
 
 
 @pytest.mark.parametrize("width", [80, 160])
 def test_a_terminal_shows_all_that_a_report_says(width: int) -> None:
     """Numbers in columns; fault and verdict wrapped, never cut."""
     fault = "residual repeats twice per input turn with 24.5 arcsec (input 2); typical of an eccentricity"
-    codes = {"fault_code": "RESIDUAL", "fault_codes": "RESIDUAL STALE", "residual_rms_arcsec": "17.55"}
-    own = {
-        "verdict": "As configured.",
-        "verdict_time": "2026-01-02T03:04:05",
-        "diagnosis_state": "diagnoses v",
-    }
-    told = " ".join(drawn(watched(message(level=1, text=fault, **codes, **own)), width=width).split())
+    own = {"fault_code": "RESIDUAL", "fault_codes": "RESIDUAL STALE", "residual_rms_arcsec": "17.55"}
+    own |= {"verdict": "As configured.", "verdict_time": "2026-01-02T03:04:05"}
+    own |= {"diagnosis_state": "diagnoses v"}
+    told = " ".join(drawn(watched(message(level=1, text=fault, **own)), width=width).split())
     keys = ("eccentricity_um", "minimum_backlash_um", "peak_tooth_load_N", "predicted_te_pp_arcsec")
     numbers = (*(f" {float(REAL[key]):.1f}" for key in keys), f" {float(REAL['lost_motion_arcmin']):.2f}")
     words = (f"joint_1: RESIDUAL {fault} (also STALE); 1 samples; latency 812 µs; log writing log.mcap",)
@@ -205,10 +171,9 @@ def test_a_terminal_shows_all_that_a_report_says(width: int) -> None:
 def test_an_order_that_repeats_within_its_limit_is_told_beside_ok() -> None:
     order = {"amplitude_arcsec": "6.71794", "limit_arcsec": "10.3132", "repeats": "true"}
     told = {f"residual_order_{key}": value for key, value in order.items()}
-    assert "; residual repeats with input 2: 6.7 of 10.3 arcsec allowed; " in line(
-        message(residual_order="input 2", **told)
-    )
-    assert "repeats" not in line(message())
+    shown = drawn(watched(message(residual_order="input 2", **told)), width=300)
+    assert "; residual repeats with input 2: 6.7 of 10.3 arcsec allowed; " in shown
+    assert "repeats" not in drawn(watched(message()))
 
 
 @pytest.mark.parametrize(("level", "code"), [(0, "32"), (1, "33"), (2, "1;31"), (3, "35"), (200, "35")])
@@ -220,18 +185,6 @@ def test_a_fault_has_the_colour_of_its_level_and_a_silent_joint_none(level: int,
     assert "\x1b[90mCODE" in silent
 
 
-@pytest.mark.parametrize("width", [20, 79, 80, 120, 300])
-@pytest.mark.parametrize("text", ["joint_1", HOSTILE])
-def test_no_line_is_wider_than_the_terminal(width: int, text: str) -> None:
-    values = {"fault_code": text, "log_state": text, "samples": "9" * 400, "peak_tooth_load_N": "-1e300"}
-    shown = drawn(watched(message(text, 2, text, **values), joints=(text, text + "?")), width=width)
-    assert max(map(cell_len, shown.splitlines())) <= width
-
-
-def test_markup_is_text() -> None:
-    assert "[red]joint[/red]" in drawn(watched(message("[red]joint[/red]")), width=120)
-
-
 def test_where_not_all_fit_the_worst_are_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     """The last picture has all joints."""
     for name, value in {"TERM": "xterm-256color", "COLUMNS": "80", "LINES": "24"}.items():
@@ -241,21 +194,14 @@ def test_where_not_all_fit_the_worst_are_shown(monkeypatch: pytest.MonkeyPatch) 
     with Display(watch, stream) as display:
         display.show(0.0)
         shown = stream.getvalue().splitlines()
-    assert len(shown) == 24
-    assert "j17" in shown[4]
-    assert "..." in shown[-1]
+    assert (len(shown), "j17" in shown[4], "..." in shown[-1]) == (24, True, True)
     assert sum(f"/hd_diag j{i:02d}: " in stream.getvalue() for i in range(30)) == 30
 
 
-@pytest.mark.parametrize(
-    ("value", "expected"), [("-24.06", "-24.1"), ("-1e300", "-1e+300"), ("nan", "-"), ("", "-")]
-)
-def test_numbers_without_a_value_or_too_large(value: str, expected: str) -> None:
+def test_numbers_without_a_value_or_too_large() -> None:
     others = dict.fromkeys(("residual_rms_arcsec", "predicted_te_pp_arcsec"), "0.25")
-    assert f" {expected} " in drawn(watched(message(peak_tooth_load_N=value, **others)))
-
-
-# Where it goes ---
+    for value, expected in {"-24.06": "-24.1", "-1e300": "-1e+300", "nan": "-", "": "-"}.items():
+        assert f" {expected} " in drawn(watched(message(peak_tooth_load_N=value, **others)))
 
 
 def test_a_pipe_gets_a_table_a_second_and_another_fault_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -264,7 +210,7 @@ def test_a_pipe_gets_a_table_a_second_and_another_fault_at_once(monkeypatch: pyt
     with Display(watch, stream) as display:
         display.show(0.0)
         for i in range(1, 31):
-            watch.take(TOPIC, array(message(fault_code="RESIDUAL" if i == 20 else "OK")), 0.25 * i)
+            take(watch, 0.25 * i, message(fault_code="RESIDUAL" if i == 20 else "OK"))
             display.show(0.25 * i)
         display.show(40.0)
         display.show(50.0)
@@ -278,35 +224,28 @@ def test_a_pipe_gets_a_table_a_second_and_another_fault_at_once(monkeypatch: pyt
 
 
 def test_a_terminal_is_drawn_four_times_a_second_and_left_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The cursor is back after Ctrl-C too."""
-    monkeypatch.setenv("TERM", "xterm-256color")
+    """The cursor is back after Ctrl-C too. A dumb terminal gets no codes."""
     monkeypatch.setenv("COLUMNS", "80")
-    stream = Terminal()
-    with contextlib.suppress(KeyboardInterrupt), Display(watched(message()), stream) as display:
-        for i in range(100):
-            display.show(0.01 * i)
-        raise KeyboardInterrupt
-    written = stream.getvalue()
-    assert 3 <= written.count("hd-diag watch") <= 6  # and once more at the end
-    assert written.count("\x1b[?25l") == written.count("\x1b[?25h") == 1
-
-
-def test_a_dumb_terminal_gets_no_codes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TERM", "dumb")
-    stream = Terminal()
-    with Display(watched(message()), stream) as display:
-        display.show(0.0)
-    assert stream.getvalue().count("/hd_diag joint_1: OK") == 1
-    assert "\x1b" not in stream.getvalue()
+    for kind in ("xterm-256color", "dumb"):
+        monkeypatch.setenv("TERM", kind)
+        stream = Terminal()
+        with contextlib.suppress(KeyboardInterrupt), Display(watched(message()), stream) as display:
+            for i in range(100):
+                display.show(0.01 * i)
+            raise KeyboardInterrupt
+        written = stream.getvalue()
+        if kind == "dumb":
+            assert written.count("/hd_diag joint_1: OK") == 1
+            assert "\x1b" not in written
+        else:
+            assert 3 <= written.count("hd-diag watch") <= 6  # and once more at the end
+            assert written.count("\x1b[?25l") == written.count("\x1b[?25h") == 1
 
 
 @pytest.mark.parametrize("terminal", [False, True])
-def test_an_encoding_without_its_characters_does_no_harm(
-    terminal: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_encoding_without_its_characters_does_no_harm(terminal: bool, monkeypatch) -> None:
     monkeypatch.setenv("TERM", "xterm")
-    raw = io.BytesIO()
-    stream = io.TextIOWrapper(raw, encoding="ascii")
+    stream = io.TextIOWrapper(raw := io.BytesIO(), encoding="ascii")
     monkeypatch.setattr(stream, "isatty", lambda: terminal)
     with Display(watched(message("gelenk_1", log_state="x" * 200)), stream) as display:
         display.show(2.0)
