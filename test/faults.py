@@ -298,7 +298,7 @@ a diagnosis that is killed | node | told in `diagnosis_state`; the node lives
 a bit of the journal flipped | fleet | told; that result is judged again
     test_fleet_journal.py::test_a_result_that_has_changed_is_none
 a worker killed by its bag | fleet | an error in that row; the others go on
-    test_cli_fleet.py::test_a_bag_that_ends_its_worker_is_tried_again_next_run
+    test_process_pool.py::test_what_kills_its_worker_fails_alone
 a FIFO, a socket or a device for a bag | fleet | an error in that row; not opened
     test_cli_fleet.py::test_what_is_no_file_is_reported_and_not_opened
 an address that is no scheduler's | fleet | code 2, one line
@@ -350,7 +350,7 @@ bytes behind a message's last field | verbs on bags | read; nothing is refused
 a torque far off its neighbours | verbs on bags | taken out, counted among the outliers
     test_record.py::test_a_torque_far_off_is_taken_out
 a topic in JSON, protobuf, ROS 1's encoding, or of no schema | bags | listed, not read; recover copies it
-    test_bag_foreign.py::test_what_cannot_be_read_is_listed_and_left_alone
+    test_bag_foreign.py::test_what_cannot_be_read_is_listed_and_left_alone_and_copied
 messages that rosbag2 compressed one by one, without metadata | bags | read
     test_bag_foreign.py::test_compressed_messages_need_no_metadata
 a count of the file's own that is far too large | verbs on bags | told; takes no memory
@@ -372,13 +372,13 @@ both angles in degrees | diagnose | code 2; says so first
 a torque that is zero, nan or a placeholder throughout | verbs on records | told; counts as not measured
     test_record.py::test_a_torque_that_is_none_is_told
 a record in pieces of a few samples | diagnose, report | code 2; says how many are in pieces long enough
-    test_record.py::test_a_record_in_pieces_too_short_to_tell_noise_is_refused
+    test_record.py::test_records_that_cannot_be_judged
 an output angle that never moves | diagnose | code 2; says where it stands
-    test_record.py::test_an_output_that_never_moves_is_refused
+    test_record.py::test_records_that_cannot_be_judged
 an input faster than any drive, by its unit or its stamps | diagnose, report, ripple | code 2; asks for units
-    test_record.py::test_an_impossibly_fast_input_is_refused_early
+    test_record.py::test_records_that_cannot_be_judged
 stdout or stderr that is closed or full | verbs | code 0 or 2, no more than one line
-    test_cli.py::test_streams_that_are_closed_or_full
+    test_cli.py::test_streams_that_are_closed_or_full_or_read_no_more
 a torque in another unit, such as N mm | diagnose | code 2; asks for its unit first
     test_signal_findings.py::test_a_torque_that_no_gear_bears
 a torque behind a low-pass | ripple | no bound for what the filter takes off: its corner, and how slow to move
@@ -388,9 +388,9 @@ a torque that is late | ripple | the delay is said; the lines are given without 
 a ratio of the wrong sign | diagnose | code 2; tells the ratio that the angles have
     test_signal_findings.py::test_a_ratio_of_the_wrong_sign_is_not_taken_for_a_late_output
 input and output swapped | diagnose | code 2; asks whether they are
-    test_record.py::test_swapped_angles_are_said_where_the_input_hardly_moves
+    test_record.py::test_records_that_cannot_be_judged
 disk full under what is printed | any verb | code 2, one line
-    test_cli.py::test_streams_that_are_closed_or_full
+    test_cli.py::test_streams_that_are_closed_or_full_or_read_no_more
 disk full | watch --json | code 2, one line
     test_watch_live.py::test_a_full_disk_under_its_lines_is_one_line
 """

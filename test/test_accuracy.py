@@ -93,6 +93,19 @@ def test_a_drift_is_no_error_of_the_gear() -> None:
     assert abs(one.value - 60.0) < 2.0 * one.std < 30.0
 
 
+@pytest.mark.parametrize("phase", np.arange(0.0, 3.0, 0.5))
+def test_a_wave_that_torsion_by_gravity_explains_counts_at_no_phase(phase: float) -> None:
+    """The torque goes with the place alone: one wave of the output's turn and torsion are the same."""
+    time = np.arange(6000) / 100.0
+    angle = np.pi * 1.2 * RATIO * (1.0 - np.cos(8.0 * np.pi * time / time[-1]))
+    load, noise = 0.4 * np.sin(angle / RATIO + phase), np.random.default_rng(0).standard_normal((2, 6000))
+    output = angle / RATIO - ARCSEC * (lobes(angle, load) + 300.0 * load + NOISE * noise[0])
+    torque = RATED * (load + 0.005 * noise[1])
+    one = found(prepared({"time": time, "input": angle, "output": output, "torque": torque}))
+    assert one.value == pytest.approx(60.0, abs=3.0)
+    assert one.std < 4.0
+
+
 def test_what_the_record_does_not_cover_is_told() -> None:
     """Of a third of a turn, its own part of the shape: a slow wave looks like torsion and offsets there."""
     part = found(record(lobes, turns=0.3))

@@ -45,7 +45,7 @@ VALUES: dict[str, tuple[float, ...]] = {
         *(1e-6, 0.9, 1e-6, 0.3, 1e-6, 0.6, 1e-6, 0.2),
     ),
     "flexspline_pitch": (2e-6, 0.4, 2e-6, 0.9, 0.0),
-    "tooth_damage": (8e-5, 5e-5, 0.0, 2 * math.pi / 202 * 77),
+    "tooth_damage": (8e-5, 5e-5, 0.0, 2 * math.pi / 202 * 77, 0.0),
     "wear_backlash": (5e-6,),
     "torsional_hardening": (-6e-6, 8e-6, 9.0, 38.0, 0.1),
     "hysteresis": (1e-4, 6e-5, 9.0, 1.6, 4.0, 2.0),
@@ -433,9 +433,9 @@ def test_scan_finds_the_tooth(signals: Signals, member: float, count: int, tooth
     effect = EFFECTS["tooth_damage"]
     position = 2 * math.pi / count * tooth
     noise = np.random.default_rng(6).normal(0.0, NOISE, signals.size)
-    error = effect.columns(signals, (member, position)) @ [5e-5, 3e-5] + noise
-    found = [place for kind, place in effect.starts(signals, error).points if kind == member]
-    assert min(abs(math.remainder(place - position, 2 * math.pi)) for place in found) < 1e-9
+    error = effect.columns(signals, (member, position, 0.0)) @ [5e-5, 3e-5] + noise
+    found = [at for kind, at, arc in effect.starts(signals, error).points if (kind, arc) == (member, 0.0)]
+    assert min(abs(math.remainder(at - position, 2 * math.pi)) for at in found) < 1e-9
 
 
 def test_standard_deviations_are_propagated() -> None:

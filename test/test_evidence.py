@@ -16,6 +16,7 @@ from hd_diag.diagnosis.evidence.evidence import Evidence
 ROWS = 40
 USUAL = {"remainder": np.array([0.3, 0.5, 0.2]), "cause": np.array([2.0, 0.7]), "other": np.array([1.5])}
 CHOICES = {"remainder": (LARGER_BY, LARGER), "cause": (SIZES, 0.0), "other": (SIZES, 0.0)}
+PRIOR = {name: (USUAL[name], *CHOICES[name]) for name in USUAL}
 WIDTHS = [
     dict(zip(names, widths, strict=True))
     for count in range(4)
@@ -41,9 +42,14 @@ class Problem(NamedTuple):
 
     @property
     def evidence(self) -> Evidence:
-        groups = [(name, part, USUAL[name], *CHOICES[name]) for name, part in self.groups.items()]
-        base = [self.base[:, :2], self.base[:, 2:]]
-        return Evidence.of(base, self.target, self.precision, self.mean, groups)
+        return self.evidence_of(*self.groups)
+
+    def evidence_of(self, *names: str) -> Evidence:
+        """Of the base and some groups."""
+        columns = np.concatenate([self.base, *(self.groups[name] for name in names)], axis=1)
+        square = float(self.target @ self.target)
+        normal = columns.T @ columns, columns.T @ self.target, square
+        return Evidence.of(*normal, self.precision, self.mean, [(name, PRIOR[name]) for name in names])
 
     def joined(self, widths: dict[str, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Columns of a set (n, k), and the mean and deviation of their coefficients, (k,)."""
@@ -148,15 +154,14 @@ def test_information_is_what_the_set_cannot_imitate(seed: int, widths: dict[str,
 @given(seeds, sets)
 def test_what_is_kept_apart_brings_the_same(seed: int, widths: dict[str, float]) -> None:
     made = problem(seed)
-    every = {name: (name, part, USUAL[name], *CHOICES[name]) for name, part in made.groups.items()}
-    apart = [every.pop(name) for name in USUAL if name not in widths]
-    given = made.target, made.precision, made.mean
-    copies = [(f"{name} {number}", *rest) for name, *rest in apart for number in range(COPIES)]
-    evidence = Evidence.of([made.base], *given, every.values(), [*apart, *copies])
+    names = [name for name in USUAL if name not in widths]
+    columns = np.concatenate([made.base, *(made.groups[name] for name in widths)], axis=1)
+    suffixes = ("", *(f" {number}" for number in range(COPIES)))
+    apart = ((f"{name}{one}", made.groups[name], PRIOR[name]) for name in names for one in suffixes)
+    evidence = made.evidence_of(*widths).beside(columns, made.target, apart)
     assert evidence.log(widths) == pytest.approx(made.evidence.log(widths), abs=1e-9)
-    names = [name for name, *_ in apart]
     expected = made.evidence.gains(widths, names)
-    for suffix in ("", *(f" {number}" for number in range(COPIES))):
+    for suffix in suffixes:
         found = evidence.gains(widths, [f"{name}{suffix}" for name in names])
         for name in names:
             assert found[f"{name}{suffix}"] == pytest.approx(expected[name], abs=1e-9)
@@ -171,7 +176,8 @@ def test_what_has_no_prior_is_as_good_as_free() -> None:
     random = np.random.default_rng(1)
     columns = 1e6 * random.normal(size=(ROWS, 2))
     target = columns @ np.array([2e-4, -1e-4]) + random.normal(size=ROWS)
-    evidence = Evidence.of([columns], target, np.array([0.0, 1e-4]), np.zeros(2), [])
+    normal = columns.T @ columns, columns.T @ target, float(target @ target)
+    evidence = Evidence.of(*normal, np.array([0.0, 1e-4]), np.zeros(2), [])
     base, _ = evidence.coefficients({})
     expected = np.linalg.lstsq(columns, target)[0]
     assert_allclose(base * np.array([1e-2, 1e2]), expected, rtol=1e-6)

@@ -150,6 +150,20 @@ def test_skipped_teeth_are_counted(record: Record, teeth: float, said: str) -> N
     assert np.max(np.abs(wrong.output_angle - correction - record.output_angle)) < off
 
 
+def test_a_tooth_is_skipped_as_the_torque_gives_way(record: Record) -> None:
+    """The drive springs back meanwhile, by more than a step of whole teeth may be misread."""
+    rows = np.arange(record.size)
+    torque = np.where((rows > 8970) & (rows < 9000), 150.0, 0.0)
+    twisted = dataclasses.replace(record, torque=torque, output_angle=record.output_angle - 2e-5 * torque)
+    wrong = stepped(twisted, PITCH)
+    (misread,) = find_steps(wrong, RATIO, PITCH)[1]
+    assert misread.text.endswith("no whole tooth")
+    correction, (finding,) = find_steps(wrong, RATIO, PITCH, lambda angle, torque: -2e-5 * torque)
+    assert finding.value == pytest.approx(PITCH, abs=10.0 * ARCSEC)
+    assert finding.text.endswith("1 tooth skipped")
+    assert np.max(np.abs(wrong.output_angle - correction - twisted.output_angle)) < 1e-9
+
+
 def test_two_steps_in_a_run(record: Record) -> None:
     wrong = stepped(stepped(record, PITCH, 9000), -2.0 * PITCH, 9500)
     correction, findings = find_steps(wrong, RATIO, PITCH)

@@ -93,8 +93,10 @@ def test_units_are_those_of_what_it_goes_by(effect: Remainder) -> None:
     assert (low.unit, high.unit) == (unit, unit)
     assert size.unit == ("rad/(N m)" if effect is TORQUE else "rad")
     assert {one.unit for one in effect.linear} == {"-"}
-    if effect is not TIME:
-        given = {} if effect is SPEED else {"torque": 7.0 * INSIDE.torque}  # its load is of the rated torque
+    if (
+        effect is not TIME and effect not in ORDERS
+    ):  # loads of these, and of the speed, are of the rated torque
+        given = {} if effect is SPEED else {"torque": 7.0 * INSIDE.torque}
         scaled = dataclasses.replace(INSIDE, speed=7.0 * INSIDE.speed, **given)
         found = effect.columns(scaled, (SIZE, *(7.0 * end for end in RANGE[effect])))
         assert_allclose(found, columns(effect) * (7.0 if effect is TORQUE else 1.0), rtol=1e-9, atol=1e-12)
@@ -183,18 +185,27 @@ def test_a_drift_has_knots_at_least_five_seconds_apart(seconds: float, knots: in
 @pytest.mark.parametrize(("order", "effect"), list(zip(LINES, ORDERS, strict=True)))
 def test_a_line_changes_with_the_magnitude_of_the_torque(order: int, effect: Remainder) -> None:
     """Alike at torques that are alike; of even orders in proportion; a fifth turns with the sign."""
-    at = np.array([0.0, 3.125, 12.5, 28.125, 50.0])  # denser near zero
+    at = 60.0 * np.array([0.0, 1.0, 2.0, 3.0, 4.0]) ** 2 / 16.0  # denser near zero
     apart = np.abs(np.subtract.outer(np.arange(5), np.arange(5)))
     changing = 1.0 if order == 1 else 0.25
     expected = 1.0 - changing + changing * (1.0 - changing) ** apart
     for quarter, first in ((0.0, 0), (0.5 * np.pi, 7)):
         given = signals(5, torque=at, output_angle=np.full(5, quarter / order / 100.0))
-        even, odd = np.split(columns(effect, given, 1.0)[:, first : first + 7], [5], axis=1)
+        own = effect.columns(given, (1.0, -40.0, 60.0))[:, first : first + 7]
+        even, odd = np.split(own, [5], axis=1)
         assert_allclose(even @ even.T, expected, atol=1e-12)
-        assert_allclose(odd, 0.2 * np.stack((at / 50.0, np.sqrt(at / 50.0)), axis=1), atol=1e-12)
+        assert_allclose(odd, 0.2 * np.stack((at / 60.0, np.sqrt(at / 60.0)), axis=1), atol=1e-12)
     mirrored = columns(effect, dataclasses.replace(INSIDE, torque=-INSIDE.torque), 1.0)
     sign = np.where(np.arange(14) % 7 < 5, 1.0, -1.0)
     assert_allclose(mirrored, sign * columns(effect, size=1.0), atol=1e-15)
+
+
+@pytest.mark.parametrize("effect", ORDERS)
+def test_a_line_changes_by_the_rated_torque_however_little_a_record_has(effect: Remainder) -> None:
+    """A wave of teeth that is the same at all small torques is no wave of a coupling yet."""
+    little = signals(torque=np.linspace(-5.0, 5.0, INSIDE.size))
+    found = [effect.columns(little, (1.0, -most, most)) for most in (5.0, 50.0)]
+    assert_array_equal(*found)
 
 
 def nonlinear(effect: Remainder) -> Values:

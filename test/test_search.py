@@ -82,7 +82,7 @@ def shaped(name: str, sizes: list[float], nonlinear: tuple[float, ...] = ()) -> 
 
 OVAL = shaped("circular_spline_form", [0.0, 0.0, 1.44e-6, 1.08e-6], (1.0,))
 PITCH = shaped("circular_spline_pitch", [2e-6, 1e-6, 1.5e-6, 0.5e-6, 0.4e-6, 0.3e-6])
-HURT = (0.0, 60 * CONFIGURED.mesh.geometry.slot_pitch)
+HURT = (0.0, 60 * CONFIGURED.mesh.geometry.slot_pitch, 0.0)
 AGAINST = {"bending_reach": 9.0, "sharpness": 1.6, "slipping_reach": 2.0, "spread": 1.5}
 FILTER = part("hysteresis", bending_amplitude=1e-4, slipping_amplitude=-9e-5, **AGAINST)
 DRIFT = part("thermal_drift", drift=2.0 * ARCSEC, lag=1.0)

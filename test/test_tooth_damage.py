@@ -12,7 +12,7 @@ from hd_diag.drive import Drive
 from hd_diag.effects.contact_table import contact_table
 from hd_diag.effects.contact_weights import ContactWeights
 from hd_diag.effects.signals import Signals
-from hd_diag.effects.tooth_damage import EFFECT, SLOT, TOOTH
+from hd_diag.effects.tooth_damage import ARCS, EFFECT, SLOT, TOOTH
 from hd_diag.model.transmission_error import Kinematics
 
 DRIVE = Drive(drives.mesh(eccentricity=(9e-6, 4e-6)), Kinematics(100.0), 56.0)
@@ -30,8 +30,8 @@ def signals() -> Signals:
     return Signals(time, angle, -angle / 101.0, none, torque, None, run, none, none, none, contact)
 
 
-def place(member: float) -> tuple[float, float]:
-    return member, NUMBER * PITCH[member]
+def place(member: float, arc: float = 0.0) -> tuple[float, float, float]:
+    return member, NUMBER * PITCH[member], arc
 
 
 def response(signals: Signals, member: float, *flanks: float) -> np.ndarray:
@@ -75,3 +75,23 @@ def test_flanks_bear_one_torque_each(signals: Signals, member: float) -> None:
     assert_allclose(both, parts[0] + parts[1], rtol=1e-12, atol=1e-18)
     loaded = np.abs(signals.torque) > 5.0
     assert not np.any((parts[0] != 0.0) & (parts[1] != 0.0) & loaded)
+
+
+@pytest.mark.parametrize("arc", ARCS)
+@MEMBERS
+def test_pairs_of_an_arc_share_the_whole_load(signals: Signals, member: float, arc: float) -> None:
+    """With the same clearance on all flanks the gear turns by it over the radius, as by the contact."""
+    loaded, count = np.abs(signals.torque) > 20.0, round(2.0 * math.pi / PITCH[member])
+    every = [EFFECT.columns(signals, (member, number * PITCH[member], arc)) for number in range(count)]
+    found = np.sum(every, axis=(0, 2))[loaded]
+    assert_allclose(np.abs(found), 1.0 / DRIVE.mesh.geometry.curve.radius, rtol=0.02)
+    assert_allclose(found, signals.contact.clearance()[loaded], rtol=0.05)
+
+
+@pytest.mark.parametrize("arc", ARCS)
+@MEMBERS
+def test_a_pulse_is_looked_for_where_it_is(signals: Signals, member: float, arc: float) -> None:
+    left = EFFECT.columns(signals, place(member, arc)) @ np.array([2e-5, 1e-5])
+    found = [at for own, at, width in EFFECT.starts(signals, left).points if (own, width) == (member, arc)]
+    away = np.remainder(np.array(found) - NUMBER * PITCH[member] + 0.5 * math.pi, math.pi) - 0.5 * math.pi
+    assert np.abs(away) == pytest.approx(0.0, abs=0.05)
