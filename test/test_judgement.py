@@ -12,6 +12,7 @@ from test_verdict import cause, diagnosis, found, function, refitted, rms_of
 from hd_diag.diagnosis.action import advice
 from hd_diag.diagnosis.diagnosis import Allowed, Diagnosis, imitated, parameter_sizes
 from hd_diag.diagnosis.evidence.solution import Cause
+from hd_diag.diagnosis.evidence.unexplained import Unexplained
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.refit import AMBIGUOUS
 from hd_diag.diagnosis.judgement import Answer, Limited
@@ -183,6 +184,11 @@ UNUSUAL = found(functions=(function(TORQUE, 12.0 * ARCSEC),))
 ECCENTRIC = "the eccentricity"
 
 
+def creeping(arcsec: float) -> dict[str, Any]:
+    """With a part of an amplitude that no cause explains and that is no line."""
+    return {"unexplained": (Unexplained(0.0, "input", ARCSEC * arcsec, "", "", "creeps"),)}
+
+
 def allowed(size: float) -> dict[str, Any]:
     """By the tolerance, beside an eccentricity of 18.2 ± 0.3 [µm]."""
     return {"allowed": Allowed(1e-6 * size, "overlap")}
@@ -201,6 +207,8 @@ def allowed(size: float) -> dict[str, Any]:
         ({"rms": MISFIT}, "watch", "not_judged", "Cannot be judged: the model does not describe this .*"),
         ({"found": HINT}, "watch", "amber", r"Watch: output runout, not proven \(95 % likely\)."),
         ({"found": UNUSUAL}, "watch", "amber", "Watch: the torsion's shape .* is larger than usual."),
+        (creeping(12.0), "watch", "amber", r"Watch: a part that creeps \(12.00 arcsec\)."),
+        (creeping(10.0), "nothing", "green", "Nothing .*"),
         (allowed(17.9), "watch", "amber", rf"Watch: {ECCENTRIC} may be .* ± 0.3 µm, .* 17.9 µm \(84 % .*"),
         # What is beyond doubt is said alone.
         (allowed(10) | {"found": HINT}, "inspect", "red", f"Inspect: {ECCENTRIC} is .* 10.0 µm {SURE}."),

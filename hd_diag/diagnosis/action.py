@@ -10,7 +10,7 @@ from scipy.special import ndtr
 
 from hd_diag.diagnosis.calibration import NAMED, NOTICED
 from hd_diag.diagnosis.judgement import Answer, Limited, is_usual
-from hd_diag.diagnosis.statements import ended, function_in_words, names_of
+from hd_diag.diagnosis.statements import ended, function_in_words, line_in_words, names_of
 from hd_diag.effects.remainders import ORDERS
 from hd_diag.formatting import percent, si, size, words
 
@@ -72,7 +72,7 @@ def advice(answer: Answer) -> Advice:
 
 
 def _reasons(answer: Answer) -> Iterator[Reason]:
-    """Findings, limits, causes, hints and what is larger than usual."""
+    """Findings, limits, causes, hints, and what is larger than usual or unexplained and no line."""
     found = answer.diagnosis
     for finding in found.findings:
         yield Reason("inspect" if finding.name in _SERIOUS else "watch", finding.text)
@@ -91,6 +91,9 @@ def _reasons(answer: Answer) -> Iterator[Reason]:
             continue  # it is part of the error that the catalogue allows
         if 2.0 * one.largest > NOTICED * found.configured.accuracy:
             yield Reason("watch", f"{function_in_words(one)} is larger than usual")
+    for line in found.unexplained:
+        if not line.order and 2.0 * line.amplitude > NOTICED * found.configured.accuracy:
+            yield Reason("watch", line_in_words(line))
 
 
 def _of_limit(limited: Limited) -> Reason:

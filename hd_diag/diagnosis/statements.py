@@ -58,7 +58,7 @@ def _without_a_name(diagnosis: Diagnosis) -> list[str]:
     rows = [row for row in diagnosis.order_table if row.repeats]
     lines = [one for one in diagnosis.unexplained if not any(_describes(row, one) for row in rows)]
     groups = {
-        "unexplained": map(_line_in_words, lines),
+        "unexplained": map(line_in_words, lines),
         "described, not explained": map(_row_in_words, rows),
         "larger than usual, by no known cause": map(function_in_words, diagnosis.larger),
     }
@@ -200,7 +200,8 @@ def function_in_words(one: Function) -> str:
     return f"{what} ({arcsec(one.largest)} at {one.at * scale:.3g} {unit})"
 
 
-def _line_in_words(line: Unexplained) -> str:
+def line_in_words(line: Unexplained) -> str:
+    """What is unexplained, with its size."""
     if line.description:
         return f"a part that {line.description} ({arcsec(line.amplitude)})"
     where = f" {line.where}" if line.where else ""
