@@ -52,9 +52,9 @@ def is_usual(cause: Cause) -> bool:
     value, way = _size(cause.effect, cause.coefficients)
     spread = math.sqrt(max(float(way @ cause.covariance[: way.size, : way.size] @ way), 0.0))
     certain = 1.0 - CERTAIN_SIZE * spread / max(value, 1e-300)
+    if cause.effect.name == _COUPLING and _is_certain(cause, _PLAY):  # no encoder has play
+        return False
     for effect, coefficients in ((cause.effect, cause.coefficients), *cause.others):
-        if effect.name == _COUPLING and coefficients[_PLAY]:  # no encoder has play
-            continue
         limit = float(effect.usual[0]) if effect.name in _FRICTION else _USUAL.get(effect.name, -math.inf)
         own, _ = _size(effect, coefficients)
         # A loop may be wider beyond the torques of the record than in it.
@@ -62,6 +62,11 @@ def is_usual(cause: Cause) -> bool:
         if shown * certain <= limit:
             return True
     return False
+
+
+def _is_certain(cause: Cause, number: int) -> bool:
+    """Whether a coefficient, by its number, is more than its deviation may make of it."""
+    return bool(cause.coefficients[number] > CERTAIN_SIZE * math.sqrt(cause.covariance[number, number]))
 
 
 def _size(effect: Effect, coefficients: Floats) -> tuple[float, Floats]:
