@@ -337,6 +337,20 @@ def test_a_damaged_summary_is_told(tmp_path):
             assert [(t.name, t.count) for t in reader.topics] == [("/j", 50)]
 
 
+def test_what_stands_before_the_messages_holds_beside_a_damaged_summary(tmp_path):
+    """The summary's end is lost, and its checksum with it: it says that a topic is of no encoding."""
+    path = write_with_mcap(tmp_path / "a.mcap", messages(50), chunked=False)
+    data = bytearray(path.read_bytes())
+    (summary,) = struct.unpack("<Q", data[-28:-20])
+    encoding = data.index(b"cdr", summary)
+    data[encoding : encoding + 3] = bytes(3)
+    path.write_bytes(data[:-40])
+    recover(path, tmp_path / "b.mcap")
+    for bag in (path, tmp_path / "b.mcap"):
+        with BagReader(bag) as reader:
+            assert [(t.name, t.type_name, t.count) for t in reader.topics] == [("/j", JOINT_STATE, 50)]
+
+
 def test_what_no_checksum_covers_is_unverified(tmp_path):
     write_with_mcap(tmp_path / "a.mcap", messages(50), chunked=False)
     rosbag2_folder(tmp_path / "b", messages(50))

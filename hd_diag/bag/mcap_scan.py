@@ -86,7 +86,7 @@ class Scan:
         self.statistics: Statistics | None = None
         self.profile = self.problem = ""
         self._path, self._file = path, file
-        self._begin, self._ahead = 0, b""
+        self._begin, self._ahead, self._is_summary = 0, b"", False
         self._open: dict[int, Content | OnDisk] = {}
         self._lock = threading.Lock()
         if self.read(0, len(MAGIC)) != MAGIC:
@@ -140,13 +140,14 @@ class Scan:
         if start > end or found != checksum:
             self.problem, self.statistics = "is damaged: the checksum of its summary is wrong", None
 
-    def keep(self, record: bytes) -> None:
+    def keep(self, record: bytes, repeats: bool = False) -> None:
         """Remember what a record says; raises several kinds of errors where it is damaged.
 
-        Every chunk, and the summary, may say the same once more of thousands of channels.
+        Every chunk, and the summary, may say the same once more of thousands of channels. The summary only
+        `repeats`: where it is damaged, what stands before the messages holds.
         """
         key = record[:1] + record[RECORD.size : RECORD.size + 2]
-        if self._kept.get(key) == record:
+        if self._kept.get(key) == record or (repeats and key in self._kept):
             return
         for found in StreamReader(BytesIO(record), skip_magic=True).records:
             match found:
@@ -326,7 +327,9 @@ class Scan:
         elif opcode in (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
             if length > _MAX_RECORD:
                 raise ValueError(f"{length} bytes are too many for such a record")
-            self.keep(self.read(self.end, RECORD.size + length))
+            self.keep(self.read(self.end, RECORD.size + length), self._is_summary)
+        elif opcode == Opcode.DATA_END:
+            self._is_summary = True
 
     def _add_message(self, length: int) -> None:
         """Add the message outside of chunks at `end` to those directly before it."""
