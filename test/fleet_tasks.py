@@ -1,7 +1,5 @@
 """Rows, bags and stand-ins for diagnoses in the fleet's tests; workers import this module."""
 
-import os
-import signal
 import time
 from pathlib import Path
 from typing import Any
@@ -39,18 +37,6 @@ def stuck_survey(path: str) -> Survey:
     if Path(path).name == "00.mcap":
         time.sleep(3600.0)
     return survey(path)
-
-
-def stuck_first(task: Task) -> Row:
-    if _day(task) == 0:
-        note("ended")
-        time.sleep(3600.0)
-    return quick(task)
-
-
-def slow(task: Task) -> Row:
-    time.sleep(0.4)
-    return quick(task)
 
 
 def row(arcsec: float = 40.0, microns: float = 5.0, residual: float = 1.0 * ARCSEC, **more: Any) -> Row:
@@ -126,13 +112,6 @@ def drifting(task: Task) -> Row:
 
 def caused(task: Task) -> Row:
     return result(1e-6, **CAUSED)
-
-
-def deadly_first(task: Task) -> Row:
-    if _day(task) == 0:
-        note("ended")
-        os.kill(os.getpid(), signal.SIGKILL)
-    return quick(task)
 
 
 def _day(task: Task) -> int:
