@@ -1,7 +1,6 @@
 """Search for causes by evidence: which are named on small records, and what is no cause."""
 
 import dataclasses
-import functools
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +13,7 @@ from hd_diag.diagnosis.calibration import MISFIT, USUAL_SLOW
 from hd_diag.diagnosis.diagnosis import _NO_CAUSES, _described
 from hd_diag.diagnosis.evidence import search as module
 from hd_diag.diagnosis.evidence.naming import own_part, standings
-from hd_diag.diagnosis.evidence.search import begun, candidates, restarted, search
+from hd_diag.diagnosis.evidence.search import Found, begun, candidates, restarted, search
 from hd_diag.diagnosis.evidence.sets import Remainders, Set
 from hd_diag.diagnosis.evidence.solution import Solution, motor_deviations, parameters_of, solution
 from hd_diag.diagnosis.evidence.unexplained import with_table
@@ -187,19 +186,15 @@ def test_a_cause_is_named_and_no_other(name: str) -> None:
     assert all(alike & causes for alike in classes)
 
 
-@functools.cache
-def searched_in_vain(name: str) -> Search:
-    return searched(NONE[name]())
-
-
 @pytest.mark.parametrize("name", cases(NONE))
 def test_what_is_no_cause_is_not_named(name: str) -> None:
-    assert searched_in_vain(name).named == {}
+    assert searched(NONE[name]()).named == {}
 
 
 def test_lines_of_the_output_are_described() -> None:
-    table = searched_in_vain("lines").whole.table
-    assert sorted((row.order, row.frame) for row in table) == [(45.0, "output"), (87.0, "output")]
+    """Of orders that no bearing of the wave generator has."""
+    table = searched(bench(wave(62.0), wave(87.0))).whole.table
+    assert sorted((row.order, row.frame) for row in table) == [(62.0, "output"), (87.0, "output")]
     assert [row.amplitude / ARCSEC for row in table] == pytest.approx([3.0, 3.0], rel=0.1)
 
 
@@ -255,12 +250,22 @@ def test_of_two_sets_neither_gives_way_to_the_other_and_back(monkeypatch: pytest
     at = begun(bench(OVAL))
     found, _ = module._better(at, {})
     assert found.names == {"circular_spline_form"}
-    assert module._is_better_by_its_noise(found, at)
-    assert not module._is_better_by_its_noise(at, found)
-    instead_of(monkeypatch, dataclasses.replace(at, value=found.value + 1e6))
+    seeming = dataclasses.replace(at, value=found.value + 1e6)
+    own = module._gain(seeming, found)
+    assert module._gain(found, at) > 0.0 > own
+    instead_of(monkeypatch, seeming)
     other, instead = module._exchanged(dataclasses.replace(found, before=None), {})
     assert other is None
-    assert instead == {"circular_spline_form": {"": pytest.approx(1e6)}}
+    assert instead == {"circular_spline_form": {"": pytest.approx(own)}}
+
+
+def test_a_cause_counts_by_the_best_of_its_forms() -> None:
+    """What another form of it would be worth in its place takes nothing from it."""
+    found, _ = module._better(begun(bench(OVAL)), {})
+    odds = {"": -50.0, "circular_spline_form": -33.0, "circular_spline_pitch": -12.0}
+    (standing,) = standings(Found(found, instead={"circular_spline_form": odds})).values()
+    assert standing.alike == ("circular_spline_form",)
+    assert standing.probability > 0.99
 
 
 def test_without_its_last_cause_a_set_is_worth_what_it_was_before(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -108,7 +108,7 @@ def standings(found: Found) -> dict[str, Standing]:
 
 def _standing(found: Found, item: Item) -> Standing:
     best, effect = found.best, item[0]
-    values = {effect.name: 0.0, **found.instead.get(effect.name, {})}
+    values = {**found.instead.get(effect.name, {}), effect.name: 0.0}  # of its forms the best
     if len(values) > 1:
         for name in effect.always_confused:
             values[name] = 0.0

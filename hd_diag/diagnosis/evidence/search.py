@@ -253,10 +253,16 @@ def _better(now: Set, known: Instead) -> tuple[Set | None, Instead]:
     return (_fewer(found), known) if found is not None else _exchanged(now, known)
 
 
-def _is_better_by_its_noise(one: Set, now: Set) -> bool:
-    """Whether a better set is so with the noise learned beside it too: else each gave way to the other."""
+def _gain(one: Set, now: Set) -> float:
+    """What a set has more than another, no more than by the noise learned beside it [log odds].
+
+    By one noise alone each of two may give way to the other. A set that is not sensible has nothing more.
+    """
+    gain = one.value - now.value
+    if gain <= 0.0:
+        return gain
     own = one.relearned
-    return own.sensible and own.value > now.on(own).value
+    return min(gain, own.value - now.on(own).value) if own.sensible else -math.inf
 
 
 def _plain(instead: Instead) -> Instead:
@@ -349,15 +355,15 @@ def _exchanged(now: Set, known: Instead) -> tuple[Set | None, Instead]:
                 if there.sensible:
                     tried = [there, there.polished()] if there.value > now.value - _NEARLY else [there]
                     trials += [each for each in tried if each.foretells(one.name)]
-        best = max(trials, key=lambda one: one.value)
-        if effect.name in senseless or (best.value > now.value and _is_better_by_its_noise(best, now)):
-            return best, {}
+        if effect.name in senseless:
+            return max(trials, key=lambda one: one.value), {}
+        gains = [_gain(one, now) for one in trials]
+        if max(gains) > 0.0:
+            return trials[int(np.argmax(gains))], {}
         odds = dict[str, float]()
-        for trial in trials:
+        for trial, gain in zip(trials, gains, strict=True):
             name = "".join(trial.names - without.names)
-            odds[name] = max(trial.value - now.value, odds.get(name, -math.inf))
-        if odds[""] > 0.0 and _is_better_by_its_noise(without, now):
-            return without, {}
+            odds[name] = max(gain, odds.get(name, -math.inf))
         instead[effect.name] = odds
     return None, instead
 
@@ -460,7 +466,7 @@ def _best_of(near: Sequence[Candidate], now: Set) -> Set | None:
     better = [(name, one) for name, one in (*polished, *trials) if one.sensible and one.value > now.value]
     better.sort(key=lambda pair: -pair[1].value)
     foretold = (one for name, one in better if one.foretells(name))
-    return next((one for one in foretold if _is_better_by_its_noise(one, now)), None)
+    return next((one for one in foretold if _gain(one, now) > 0.0), None)
 
 
 def _may_be_elsewhere(at: Set) -> bool:
