@@ -120,7 +120,8 @@ def _position(signals: Signals, angle: Floats, residual: Floats, arc: float) -> 
     pulse -= pulse.mean()
     gain, rest = np.zeros(_BINS), residual - residual.mean()
     for side in (signals.torque > 0.0, signals.torque <= 0.0):
-        sums, count = (np.bincount(place[side], one, _BINS) for one in (rest[side], np.ones(side.sum())))
+        sums = np.bincount(place[side], rest[side], _BINS).astype(np.float64)
+        count = np.bincount(place[side], minlength=_BINS).astype(np.float64)
         moment, square = _correlation(sums[None], pulse[None]), _correlation(count[None], pulse[None] ** 2)
         gain += moment**2 / np.maximum(square, 1e-300)
     return float(np.pi / _BINS * np.argmax(gain))
