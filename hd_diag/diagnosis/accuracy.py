@@ -155,9 +155,8 @@ def _apart(waves: Floats, laws: Floats, run: Integers) -> tuple[Floats, npt.NDAr
 
 def _least_apart(own: Floats, wave: Floats) -> float:
     """Share of a wave (n, 2) that is its own (n, 2), at the phase at which it has least."""
-    values, vectors = np.linalg.eigh(wave.T @ wave)
-    scaled = own @ (vectors / np.sqrt(np.maximum(values, 1e-300)))
-    return float(np.linalg.norm(scaled, -2))
+    shares = np.linalg.eigvals(inverse(wave.T @ wave) @ (own.T @ own)).real
+    return math.sqrt(max(float(shares.min()), 0.0))
 
 
 class _Fit:

@@ -86,13 +86,14 @@ def _reasons(answer: Answer) -> Iterator[Reason]:
         likely = hint.standing.probability
         if not is_usual(hint):
             yield Reason("watch", f"{names_of(hint)}, not proven", likely if likely < NAMED else math.nan)
+    noticed = 0.5 * NOTICED * found.configured.accuracy  # to either side
     for one in found.larger:
         if one.effect in ORDERS and answer.normal is not None and answer.normal.within:
             continue  # it is part of the error that the catalogue allows
-        if 2.0 * one.largest > NOTICED * found.configured.accuracy:
+        if one.largest > noticed:
             yield Reason("watch", f"{function_in_words(one)} is larger than usual")
     for line in found.unexplained:
-        if not line.order and 2.0 * line.amplitude > NOTICED * found.configured.accuracy:
+        if not line.order and line.amplitude > noticed:
             yield Reason("watch", line_in_words(line))
 
 

@@ -108,4 +108,4 @@ torque goes with the place had a thirtieth where nothing was there, and a third 
 
 NOTICED = 0.25
 """Share of the accuracy, peak to peak, from which a remainder that is larger than usual asks to be watched: a
-convention."""
+convention. So does what is unexplained and no line."""

@@ -62,6 +62,6 @@ EFFECT = CouplingMisalignment(
         "Play and wear of the Oldham coupling, then the motor's flange: square within 0.1 mm per 100 mm (1 "
         "mrad). Only a bend of some degrees is seen at the output (3.5°: 2 arcsec at ratio 100); play "
         "shows when the joint reverses. The amplitude must not change with torque; a pitch error falls. A "
-        "motor's encoder may read twice per turn as well, by 10 arcmin at the input as a rule."
+        "motor's encoder may read twice per turn, too: up to 10 arcmin at the input are usual."
     ),
 )

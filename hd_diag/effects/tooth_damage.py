@@ -66,7 +66,7 @@ class ToothDamage(Effect):
             for position in _positions(signals, angle, residual):
                 near = [(member, pitch * (round(position / pitch) + beside), 0.0) for beside in _BESIDE]
                 best.append(max(near, key=lambda nonlinear: self._gain(some, rest, nonlinear)))
-            best += [(member, _position(signals, angle, residual, arc), arc) for arc in ARCS]
+            best += [(member, *place) for place in _in_arcs(signals, angle, residual)]
         return Starts(list(dict.fromkeys(best)), trials)
 
     def _gain(self, signals: Signals, residual: Floats, nonlinear: Values) -> float:
@@ -78,7 +78,7 @@ class ToothDamage(Effect):
 
 def _seen_from(member: float, signals: Signals) -> Floats:
     """Angle of the wave generator in a member [rad], shape (n,)."""
-    return signals.wave_generator_angle if member == SLOT else signals.contact.flexspline_angle
+    return signals.wave_generator_angle if member == SLOT else signals.flexspline_angle
 
 
 def _share(away: Floats, arc: float) -> Floats:
@@ -113,18 +113,23 @@ def _positions(signals: Signals, angle: Floats, residual: Floats) -> list[float]
     return [2.0 * np.pi / bins * index for index in best]
 
 
-def _position(signals: Signals, angle: Floats, residual: Floats, arc: float) -> float:
-    """Angle in the member [rad] where a pair of an arc fits best, each flank for itself."""
+def _in_arcs(signals: Signals, angle: Floats, residual: Floats) -> list[tuple[float, float]]:
+    """For every arc [rad] the angle in the member [rad] where a pair fits best, each flank for itself."""
     place = np.floor(np.mod(angle, np.pi) * (_BINS / np.pi) + 0.5).astype(np.int64) % _BINS
-    pulse = _share(np.linspace(0.0, np.pi, _BINS, endpoint=False), arc)
-    pulse -= pulse.mean()
-    gain, rest = np.zeros(_BINS), residual - residual.mean()
-    for side in (signals.torque > 0.0, signals.torque <= 0.0):
-        sums = np.bincount(place[side], rest[side], _BINS).astype(np.float64)
-        count = np.bincount(place[side], minlength=_BINS).astype(np.float64)
-        moment, square = _correlation(sums[None], pulse[None]), _correlation(count[None], pulse[None] ** 2)
-        gain += moment**2 / np.maximum(square, 1e-300)
-    return float(np.pi / _BINS * np.argmax(gain))
+    rest, found = residual - residual.mean(), list[tuple[float, float]]()
+    sides = [
+        (np.bincount(place[side], rest[side], _BINS), np.bincount(place[side], minlength=_BINS))
+        for side in (signals.torque > 0.0, signals.torque <= 0.0)
+    ]
+    for arc in ARCS:
+        pulse = _share(np.linspace(0.0, np.pi, _BINS, endpoint=False), arc)
+        pulse -= pulse.mean()
+        gain = np.zeros(_BINS)
+        for sums, count in sides:
+            square = _correlation(count[None].astype(np.float64), pulse[None] ** 2)
+            gain += _correlation(sums[None].astype(np.float64), pulse[None]) ** 2 / np.maximum(square, 1e-300)
+        found.append((float(np.pi / _BINS * np.argmax(gain)), arc))
+    return found
 
 
 def _correlation(sums: Floats, template: Floats) -> Floats:

@@ -100,15 +100,11 @@ class Evidence:
         groups : iterable
             What may be in a set, by name.
         """
-        units = [np.where(precision > 0.0, np.maximum(precision, 1e-300) ** -0.5, _WIDE)]
-        at, places = precision.size, dict[str, Group]()
-        for name, (usual, widths, larger) in groups:
-            units.append(usual)
-            places[name] = Group(np.arange(at, at := at + usual.size), widths, larger)
-        unit = np.concatenate(units)
+        own = np.where(precision > 0.0, np.maximum(precision, 1e-300) ** -0.5, _WIDE)
+        sizes, places = _placed(groups, own.size)
+        unit = np.concatenate((own, sizes))
         whole = TEMPER * unit[:, None] * gram * unit
-        own = TEMPER * unit * moment, TEMPER * square, unit
-        return Evidence(whole, *own, precision.size, pull / units[0], places)
+        return Evidence(whole, TEMPER * unit * moment, TEMPER * square, unit, own.size, pull / own, places)
 
     def beside(self, columns: Floats, target: Floats, apart: Iterable[tuple[str, Floats, Prior]]) -> Evidence:
         """With groups of which no set has two: their products are not made.
@@ -121,12 +117,14 @@ class Evidence:
         apart : iterable
             Names, whitened columns and priors.
         """
-        at, places = self.moment.size, dict(self.groups)
-        inner, across, moments, units = list[Floats](), list[Floats](), [self.moment], [self.unit]
+        priors, inner, across, moments = (
+            list[tuple[str, Prior]](),
+            list[Floats](),
+            list[Floats](),
+            [self.moment],
+        )
         for some in _together(apart):
-            for name, _, (usual, widths, larger) in some:
-                units.append(usual)
-                places[name] = Group(np.arange(at, at := at + usual.size), widths, larger)
+            priors += [(name, prior) for name, _, prior in some]
             more = np.concatenate([part * usual for _, part, (usual, *_) in some], axis=1)
             inner.append(TEMPER * (more.T @ more))
             across.append(TEMPER * self.unit[:, None] * (columns.T @ more))
@@ -134,7 +132,9 @@ class Evidence:
         gram, moment, size = block_diag(self.gram, *inner), np.concatenate(moments), self.moment.size
         gram[:size, size:] = np.concatenate([np.empty((size, 0)), *across], axis=1)
         gram[size:, :size] = gram[:size, size:].T
-        return replace(self, gram=gram, moment=moment, unit=np.concatenate(units), groups=places)
+        sizes, places = _placed(priors, size)
+        unit = np.concatenate((self.unit, sizes))
+        return replace(self, gram=gram, moment=moment, unit=unit, groups=self.groups | places)
 
     def log(self, widths: Widths) -> float:
         """Log evidence of a set with these prior widths, but for a constant and the priors of presence."""
@@ -224,6 +224,15 @@ class Evidence:
         root = _root(matrix)
         solved = solve_triangular(root, right, lower=True, check_finite=False)
         return at, scale, right, solved, root
+
+
+def _placed(priors: Iterable[tuple[str, Prior]], at: int) -> tuple[Floats, dict[str, Group]]:
+    """Usual sizes of groups of columns one after the other (k,), and the groups by name, from a place on."""
+    sizes, places = [np.empty(0)], dict[str, Group]()
+    for name, (usual, widths, larger) in priors:
+        sizes.append(usual)
+        places[name] = Group(np.arange(at, at := at + usual.size), widths, larger)
+    return np.concatenate(sizes), places
 
 
 def _together(

@@ -50,9 +50,7 @@ class Remainders:
 
     def at(self, widths: Widths) -> Chosen:
         """The same at sizes of so many times the usual one."""
-        return tuple(
-            (effect, (widths.get(effect.name, 1.0) * size, *ends)) for effect, (size, *ends) in self.items
-        )
+        return tuple((effect, (widths[effect.name] * size, *ends)) for effect, (size, *ends) in self.items)
 
 
 def _range(values: Floats) -> tuple[float, float]:
@@ -93,12 +91,18 @@ class Set:
     @property
     def given(self) -> Chosen:
         """What is no cause: what a motor takes of its current, and remainders."""
-        return (*self.motor, *self.remainders.at(self.widths))
+        return (*self.motor, *self.remainders.at(self._widths))
 
     @property
     def chosen(self) -> Chosen:
         """All that is fitted beside the model's parameters."""
         return (*self.given, *self.causes)
+
+    @property
+    def _widths(self) -> Widths:
+        """Of all remainders and causes, as usual where they are not tuned yet."""
+        every = (*self.remainders.items, *self.causes)
+        return {effect.name: self.widths.get(effect.name, 1.0) for effect, _ in every}
 
     @property
     def names(self) -> frozenset[str]:
@@ -110,10 +114,10 @@ class Set:
 
         What a parameter on its bound would explain beyond it counts for no set.
         """
-        fit, chosen, fixed = self.fit, self.chosen, len(self.motor)
+        fit, chosen, fixed, widths = self.fit, self.chosen, len(self.motor), self._widths
         built = fit.design(chosen)
         priors = (
-            (effect.name, _prior(effect, place.stop - place.start, self.widths.get(effect.name, 1.0)))
+            (effect.name, _prior(effect, place.stop - place.start, widths[effect.name]))
             for (effect, _), place in zip(chosen[fixed:], fit.places(chosen)[fixed:], strict=True)
         )
         gram, moment = built.gram.sum(axis=0), built.moment.sum(axis=0)
@@ -129,11 +133,7 @@ class Set:
 
     def valued(self) -> Set:
         """With the best widths and the evidence where the fit stands."""
-        start = {
-            effect.name: self.widths.get(effect.name, 1.0)
-            for effect, _ in (*self.remainders.items, *self.causes)
-        }
-        log, widths = self.evidence().tuned(start)
+        log, widths = self.evidence().tuned(self._widths)
         return replace(self, widths=widths, value=log + self.presence)
 
     @property
@@ -302,7 +302,7 @@ def presence(fit: LinearisedFit, effect: Effect) -> float:
 
 
 def _prior(effect: Effect, count: int, width: float = 1.0) -> Prior:
-    """Of an effect's columns, so many, which are of a remainder at some width."""
+    """Of so many columns of an effect; those of a remainder are at a width."""
     if effect.standard:
         larger = calibration.LARGER_LINE if effect in ORDERS else calibration.LARGER
         widths = calibration.LOOP_BY if effect is LOOP else calibration.LARGER_BY
