@@ -315,7 +315,8 @@ def test_a_link_or_pipe_that_is_written_to_stays_one(tmp_path: Path) -> None:
 # Errors and Ctrl-C ---
 
 
-INSTALL = "python3 -m pip install"
+OUT = "IndexError: index 5 is out of bounds"
+INSTALL, NO_NUMBA = "python3 -m pip install", "No module named 'numba'"
 
 
 def interrupted(compiled: int) -> BaseException:
@@ -330,9 +331,9 @@ def interrupted(compiled: int) -> BaseException:
 @pytest.mark.parametrize(
     ("error", "code", "told"),
     [
-        (ModuleNotFoundError("No module named 'numba'", name="numba"), 2, f".* 'numba': {INSTALL} numba"),
+        (ModuleNotFoundError(NO_NUMBA, name="numba"), 2, f"hd-diag: {NO_NUMBA}: {INSTALL} numba"),
         # The code 1 is a finding's, so that a script never takes a crash for one.
-        (IndexError("index 5 is out\nof bounds"), 2, r".*IndexError: index 5 is out \(mesh, line.*"),
+        (IndexError("index 5 is out of bounds\nfor axis 0"), 2, rf".*{OUT} \(mesh, line.*"),
         *((interrupted(compiled), 130, "hd-diag: interrupted") for compiled in (0, 1, 2)),
     ],
 )

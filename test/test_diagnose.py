@@ -182,15 +182,22 @@ def test_a_wrong_ratio_fails_on_request_at_once(tmp_path: Path) -> None:
     assert diagnosed_by(path, "--columns", COLUMNS).exit_code == 2
 
 
+TWICE = "--columns names something twice"
+
+
 @pytest.mark.parametrize(
     ("changes", "arguments", "said"),
     [
         ({}, ["--columns", "time=time,input=nothing,output=output"], "has no column 'nothing'"),
         ({}, ["--columns", "time=time,input"], "--columns takes pairs like"),
-        ({}, ["--columns", "time=time,output=a,output=b"], "--columns names something twice: time=time,"),
+        ({}, ["--columns", "time=time,output=a,output=b"], f"{TWICE}: time=time,output=a"),
         ({}, ["--columns", "time=time,input=input"], "columns need output"),
         ({}, ["--columns", COLUMNS, "--joint", "elbow"], "no joint 'elbow' in the configuration"),
-        ({}, ["--columns", COLUMNS, "--orders-only", "--model", "m.json"], "--orders-only has no tooth"),
+        (
+            {},
+            ["--columns", COLUMNS, "--orders-only", "--model", "m.json"],
+            "--orders-only has no tooth model",
+        ),
         ({"input": 0.0}, ["--columns", COLUMNS], "joint_1: no motion: the input turns by 0 rad"),
         ({"output": np.nan}, ["--columns", COLUMNS], "joint_1: too short: 0 usable samples"),
         ({"time": 1.0}, ["--columns", COLUMNS], "joint_1: too short: 1 usable samples"),

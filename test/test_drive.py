@@ -30,7 +30,11 @@ REFUSED = [
     ({"cup_compliance": math.nan}, "cup_compliance must not be negative, not nan"),
 ]
 RATIOS_REFUSED = [
-    (Kinematics(101.0), "101 does not fit 200 and 202 teeth with .* 100; output: circular_spline has"),
+    (
+        Kinematics(101.0),
+        "ratio 101 does not fit 200 and 202 teeth with the output at the flexspline: .* 100; "
+        "output: circular_spline has this ratio",
+    ),
     (Kinematics(100.0, "circular_spline"), "its magnitude must be 101; output: flexspline has this ratio"),
     (Kinematics(161.0, "circular_spline"), "must be 101; a gear of 320 and 322 teeth has this ratio"),
     (Kinematics(0.5, of_teeth=False), "ratio must be finite and above 1, not 0.5"),

@@ -249,10 +249,14 @@ def test_the_challenge_s_own_code_makes_the_same_teeth(design: Design) -> None:
         ({"size": 0.0}, "gear.size or gear.pitch_diameter: missing"),
         ({"t1": 50.0}, "gear.t1 (50 N m) must be below gear.t2 (48 N m)"),
         # The same page in other units: 3.1e4 N m/rad are 3.16 x 9.80665 N / (pi / 10800) rad / 10.
+        (
+            {"k1": 3.1, "k2": 5.0},
+            "gear.k1: no gear of size 25 has 3.1 N m/rad, usual is 3.1e+04: if the page",
+        ),
         ({"k1": 3.1}, "if the page means 3.1 × 10⁴ N m/rad, write 3.1e+04"),
         (
             {"k2": 1.5},
-            "gear.k2: no gear of size 25 has 1.5 N m/rad, usual is 4.8e+04: if the page means 1",
+            "gear.k2: no gear of size 25 has 1.5 N m/rad, usual is 4.8e+04: if the page means 1.5 kgf",
         ),
         ({"k3": 17.0}, "if the page means 17 N m/arcmin, write 5.844e+04"),
         ({"k3": 57.0}, "if the page means 57 kN m/rad, write 5.7e+04"),

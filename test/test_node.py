@@ -41,6 +41,7 @@ JOINTS = ("shoulder", "elbow")
 FIXED = {"joints": ["elbow"], "elbow.input_joint": "m", "elbow.torque_signal.sign": -1}
 SAID = "is fixed when the node starts (read-only)"
 REFUSED = [*VALUES, *(({name: value}, f"{name}: {SAID}") for name, value in FIXED.items())]
+REFUSED += [({"nonsense": 1.0}, "unknown parameter 'nonsense', and none that is known is like it")]
 
 
 @pytest.fixture(scope="module")

@@ -251,7 +251,8 @@ def test_a_file_holds_each_of_them(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("effects", "said"), [((PLACE, PLACE), "a name appears twice"), ((TIME,), "a running model cannot")]
+    ("effects", "said"),
+    [((PLACE, PLACE), "a name appears twice"), ((TIME,), "a running model cannot hold it")],
 )
 def test_a_file_holds_none_twice_and_no_drift(effects: tuple[Remainder, ...], said: str) -> None:
     with pytest.raises(ConfigError, match=said):

@@ -257,6 +257,12 @@ def test_a_hostile_log_is_refused_in_one_line(tmp_path: Path, kind: str) -> None
     assert ("b.mcap" in text, "\n" in text, len(text) < 900) == (True, False, True)
 
 
+def test_a_log_without_its_beginning_says_so(tmp_path: Path) -> None:
+    bag = bag_of_events(tmp_path / "b.mcap", HOSTILE["no beginning"])
+    with pytest.raises(BagError, match="does not begin with a configuration"):
+        replay(bag, tmp_path / "out.mcap")
+
+
 def test_events_of_later_versions_are_passed_over(tmp_path: Path) -> None:
     bag = bag_of_events(tmp_path / "b.mcap", [GOOD, {"event": "coffee", "sugar": None}])
     assert replay(bag, tmp_path / "out.mcap").messages == 12

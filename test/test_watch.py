@@ -3,6 +3,8 @@
 import contextlib
 import io
 import json
+import subprocess
+import sys
 from types import SimpleNamespace
 
 import pytest
@@ -68,6 +70,12 @@ def drawn(watch: Watch, now: float = 0.0, width: int = 80, **more) -> str:
 class Terminal(io.StringIO):
     def isatty(self) -> bool:
         return True
+
+
+def test_the_state_needs_neither_ros_nor_a_terminal() -> None:
+    edges = "{'rclpy', 'diagnostic_msgs', 'rich', 'click'}"
+    code = f"import sys, hd_diag.watch.state; print({edges} & set(sys.modules))"
+    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "set()\n"
 
 
 def test_only_joints_that_are_asked_for_are_shown() -> None:
