@@ -13,6 +13,7 @@ from scipy.signal import lfilter
 
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.monitor.all_joints import Monitor
+from hd_diag.monitor.comparison import SAMPLE
 from hd_diag.monitor.publications import Status
 from hd_diag.monitor.residual_orders import Order, ResidualOrders
 
@@ -26,8 +27,17 @@ def fed(angle: np.ndarray, residual: np.ndarray, torque: float | np.ndarray = 1.
     stamp = START + np.round(STEP * 1e9 * np.arange(angle.size)).astype(np.int64)
     load = np.broadcast_to(torque, angle.shape).astype(np.float64)
     orders = ResidualOrders()
-    orders.add(stamp, angle, angle / RATIO, load, residual)
+    orders.add(samples(stamp, angle, angle / RATIO, load, residual), 0)
     return {order.name: order for order in orders.known()}
+
+
+def samples(*columns: np.ndarray) -> np.ndarray:
+    """Of joint 0: stamps, angles of input and output, torques, residuals."""
+    made = np.zeros(columns[0].size, SAMPLE)
+    names = "stamp", "input_angle", "output_angle", "torque", "residual"
+    for name, column in zip(names, columns, strict=True):
+        made[name] = column
+    return made
 
 
 def noise(seed: int, size: float) -> np.ndarray:
@@ -80,7 +90,7 @@ def test_orders_that_the_motion_does_not_show_are_left_out() -> None:
     assert fed(20.0 * time[:50], np.ones(50)) == {}
     number, orders = np.arange(400), ResidualOrders()
     stamp, angle = START + number * 2_000_000 + (number // 20) * 10**9, 0.15 * number
-    orders.add(stamp, angle, angle, np.ones(400), np.cos(angle))
+    orders.add(samples(stamp, angle, angle, np.ones(400), np.cos(angle)), 0)
     assert orders.known() == []
 
 
@@ -98,10 +108,11 @@ def test_samples_in_pieces_are_samples_together(cuts: tuple[int, ...]) -> None:
     """To the last bit, what is remembered too."""
     angle = strokes(8.3)
     columns = START + 2_000_000 * np.arange(TIME.size), angle, angle / RATIO, np.sin(TIME), noise(3, 1.0)
+    given = samples(*columns)
     whole, parts = ResidualOrders(), ResidualOrders()
-    whole.add(*columns)
+    whole.add(given, 0)
     for first, last in itertools.pairwise((0, *cuts, TIME.size)):
-        parts.add(*(column[first:last] for column in columns))
+        parts.add(given[first:last], 0)
     assert [array.tobytes() for array in parts.state] == [array.tobytes() for array in whole.state]
     assert len(whole.known()) >= 3
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,7 @@ HEADER = b"\0\1\0\0"
 
 _ARRAYS = ("position", "velocity", "effort")
 _NOTHING = np.empty((0, 0))
-_UINT32, _TIME = struct.Struct("<I"), struct.Struct("<iI")
+_UINT32 = struct.Struct("<I")
 
 
 def encode_joint_states(
@@ -61,10 +61,14 @@ def encode_joint_states(
     return rows.view(np.uint8)
 
 
-def encode_headers(stamps: Iterable[int], frame_id: str) -> list[bytes]:
-    """std_msgs/Header messages: times [ns] (n,) and what they belong to."""
-    body = text(frame_id, 1)
-    return [HEADER + _TIME.pack(*divmod(stamp, 1_000_000_000)) + body for stamp in stamps]
+def encode_headers(stamps: npt.ArrayLike, frame_id: str) -> Bytes:
+    """std_msgs/Header messages, shape (n, size): times [ns] (n,) and what they belong to."""
+    time = np.empty((np.size(stamps), 2), np.int32)
+    time[:, 0], time[:, 1] = np.divmod(stamps, 1_000_000_000)
+    head = HEADER + bytes(8) + text(frame_id, 1)
+    rows = np.tile(np.frombuffer(head, np.uint8), (len(time), 1))
+    rows[:, len(HEADER) : len(HEADER) + 8] = time.view(np.uint8)
+    return rows
 
 
 def warm_up() -> None:

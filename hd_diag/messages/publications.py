@@ -68,7 +68,7 @@ def _rows(publication: Angles | Stamps | ToothArrays | Drawings) -> tuple[str, B
         _, _, stamp, names, position, effort = publication
         return JOINT_STATE, encode_joint_states(names, stamp, position, None, effort)
     if isinstance(publication, Stamps):
-        return HEADERS, encode_headers(publication.stamp.tolist(), publication.joint)
+        return HEADERS, encode_headers(publication.stamp, publication.joint)
     if isinstance(publication, ToothArrays):
         dims = ("flank", 2), ("tooth", publication.values.shape[2])
         return MULTI_ARRAY, encode_float64_multiarray(dims, publication.values)

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
 from hd_diag.arrays import Floats, Times
 from hd_diag.drive import mesh_state
 from hd_diag.model.torsion_map import TorsionMap
-from hd_diag.monitor.comparison import Comparison
+from hd_diag.monitor.comparison import Comparison, Errors, nothing
 from hd_diag.monitor.health import status
 from hd_diag.monitor.joint import Joint, Window
 from hd_diag.monitor.publications import Drawings, Publication, Report, Stamps, ToothArrays, angles
@@ -27,7 +26,6 @@ from hd_diag.streams.columns import LARGEST_TEMPERATURE, JointStates
 # holds up messages hardly longer; all seven together hold them up for half as long again.
 _TOGETHER = 4
 _NEVER = -(2**62)  # number of a period
-_ORDERED = "stamp", "input_angle", "output_angle", "torque", "residual"  # what the orders are followed in
 # Samples that are taken into the residual's orders at once, for a report may be far: half a millisecond
 # of work, 0.2 us each, where of 256 each takes 0.5.
 _FOLLOWED = 2048
@@ -94,13 +92,28 @@ class Monitor:
         measured with (n,) [ns]; the same by default. One message at a time or many at once give the same, to
         the last bit.
         """
-        samples = self.streams.take(received if heard is None else heard, shapes, refused)
+        return self.publications(received, self.errors(received if heard is None else heard, shapes, refused))
+
+    def errors(
+        self, heard: Times, shapes: Sequence[JointStates], refused: Sequence[tuple[int, str]] = ()
+    ) -> Errors:
+        """Take messages as `mixed_states` does; `publications` makes of the errors what is to be published.
+
+        A report may come in between: what is published of many samples together costs less.
+        """
+        samples = self.streams.take(heard, shapes, refused)
         if not samples.row.size:
-            return []
+            return nothing(samples)
         errors = self._comparison.errors(samples, *self._by_models(samples))
         if self._comparison.count - self._comparison.followed >= _FOLLOWED:
             self._follow()
-        return [*angles(received, errors, self._names), *self._teeth(received, samples)]
+        return errors
+
+    def publications(self, received: Times, errors: Errors) -> list[Publication]:
+        """What is to be published of errors, whose rows are positions in `received` (n,) [ns]."""
+        if not errors.predicted.size:
+            return []
+        return [*angles(received, errors, self._names), *self._teeth(received, errors.samples)]
 
     def clock_set_back(self, stamp: int) -> None:
         """Restart the streams of joints with a last stamp after `stamp` [ns]: the clock was set back."""
@@ -154,11 +167,8 @@ class Monitor:
         """Add the new samples to the residuals' orders."""
         new = self._comparison.kept[self._comparison.followed :]
         self._comparison.followed = self._comparison.count
-        has_output = np.isfinite(new["output_angle"])
         for number, joint in enumerate(self.joints.values()):
-            rows = np.flatnonzero(has_output & (new["joint"] == number))
-            columns: list[Any] = [new[name][rows] for name in _ORDERED]
-            joint.orders.add(*columns)
+            joint.orders.add(new, number)
 
     def _set_in_force(self) -> None:
         self._comparison.use([*self.joints.values()])

@@ -26,7 +26,7 @@ _DRIVE = np.dtype(
     ]
 )
 _NO_MAP = (0,) * len(_PLACE) + (0.0,) * len(_LIMITS)
-_SAMPLE = np.dtype(
+SAMPLE = np.dtype(
     [
         *((name, np.int64) for name in ("joint", "stamp", "paired")),
         *((name, np.float64) for name in ("input_angle", "output_angle", "torque", "speed", "residual")),
@@ -47,6 +47,21 @@ class Errors(NamedTuple):
     residual: Floats
 
 
+def nothing(samples: Aligned) -> Errors:
+    """Errors of no samples."""
+    return Errors(samples, _NOTHING, _NOTHING, _NOTHING)
+
+
+def together(parts: Sequence[tuple[int, Errors]]) -> Errors:
+    """Errors of messages that were taken in parts, each with the position at which its rows begin."""
+    if len(parts) == 1 and parts[0][0] == 0:
+        return parts[0][1]
+    rows = np.concatenate([errors.samples.row + begin for begin, errors in parts])
+    samples = Aligned(*map(np.concatenate, zip(*(errors.samples for _, errors in parts), strict=True)))
+    columns = (np.concatenate(each) for each in zip(*(errors[1:] for _, errors in parts), strict=True))
+    return Errors(samples._replace(row=rows), *columns)
+
+
 class Comparison:
     """Errors of samples of k joints, by their models, else by their drives.
 
@@ -55,7 +70,7 @@ class Comparison:
 
     def __init__(self) -> None:
         self.count = self.followed = 0
-        self._kept = np.empty(1024, _SAMPLE)
+        self._kept = np.empty(1024, SAMPLE)
 
     @property
     def kept(self) -> Any:
@@ -75,7 +90,7 @@ class Comparison:
         """Errors of samples, with predictions [rad] and speeds [rad/s] if a model has them already."""
         last = self.count + samples.row.size
         if last > self._kept.size:
-            kept, self._kept = self.kept, np.empty(2 * last, _SAMPLE)
+            kept, self._kept = self.kept, np.empty(2 * last, SAMPLE)
             self._kept[: self.count] = kept
         given = (
             *(samples.joint, samples.stamp, samples.paired, samples.input_angle, samples.output_angle),

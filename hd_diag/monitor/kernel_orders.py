@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -27,11 +28,8 @@ _SLOWEST = 0.05  # of the input [rad/s]; slower is rest
 
 @entry_point
 def follow(
-    stamp: Times,
-    input_angle: Floats,
-    output_angle: Floats,
-    torque: Floats,
-    residual: Floats,
+    samples: Any,
+    joint: int,
     last: Floats,
     step: Times,
     gram: Floats,
@@ -43,6 +41,7 @@ def follow(
 ) -> None:
     """Follow the orders in `residual_orders.ORDERS` over windows of motion.
 
+    Samples are records of `SAMPLE`; those of other joints, and those without an output angle, are left out.
     All but the samples change. `last` is the input angle of the sample before, `step` its stamp,
     nan and 0 before the first. Of the present window: `gram` (9, 9), `moment` (9,) and, in `window` (7,),
     first residual and angle, way, time, sums of torque, its size and output angle. Of those before:
@@ -50,24 +49,28 @@ def follow(
     `output` (3, 3) and `means` (3,), those of the output's order.
     """
     terms = np.ones(9)
-    for i in range(stamp.size):
-        elapsed, turned = (stamp[i] - step[0]) * 1e-9, abs(input_angle[i] - last[0])
-        last[0], step[0] = input_angle[i], stamp[i]
+    for i in range(samples.size):
+        sample = samples[i]
+        if sample.joint != joint or not math.isfinite(sample.output_angle):
+            continue
+        angle, residual = sample.input_angle, sample.residual
+        elapsed, turned = (sample.stamp - step[0]) * 1e-9, abs(angle - last[0])
+        last[0], step[0] = angle, sample.stamp
         if not 0.0 < elapsed <= _LONGEST_STEP:
             _empty(gram, moment, window)  # what was lost between is not known
         if not (elapsed > 0.0 and turned > _SLOWEST * min(elapsed, _LONGEST_STEP)):
             continue
-        if not math.isfinite(residual[i]):
+        if not math.isfinite(residual):
             continue
         if gram[0, 0] == 0.0:
-            window[0], window[1] = residual[i], input_angle[i]
+            window[0], window[1] = residual, angle
         else:
             window[2] += turned
             window[3] += elapsed
-        _add(terms, gram, moment, input_angle[i], input_angle[i] - window[1], residual[i] - window[0])
-        window[4] += torque[i]
-        window[5] += abs(torque[i])
-        window[6] += output_angle[i]
+        _add(terms, gram, moment, angle, angle - window[1], residual - window[0])
+        window[4] += sample.torque
+        window[5] += abs(sample.torque)
+        window[6] += sample.output_angle
         if window[2] >= _WINDOW and gram[0, 0] >= _LEAST_SAMPLES:
             _close(gram, moment, window, waves, output, means)
             _empty(gram, moment, window)

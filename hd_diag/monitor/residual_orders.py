@@ -9,11 +9,9 @@ transient or of another order do not. What lies 64 turns and half a minute of mo
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-
-from hd_diag.arrays import Floats, Times
 
 ORDERS = (("input", 1), ("input", 2), ("input", 4), ("output", 1))
 """Followed orders: periods per turn of the input or of the output."""
@@ -50,16 +48,14 @@ class ResidualOrders:
         before = np.zeros((3, 3, 5)), np.zeros((3, 3)), np.zeros(3)
         self.state = np.full(1, np.nan), np.zeros(1, np.int64), *window, *before
 
-    def add(
-        self, stamp: Times, input_angle: Floats, output_angle: Floats, torque: Floats, residual: Floats
-    ) -> None:
-        """Take samples; those at rest and those without a residual are left out.
+    def add(self, samples: Any, joint: int) -> None:
+        """Take the samples of a joint, by its number, from records of `SAMPLE` (n,).
 
-        Stamps [ns], angles as reported [rad], torques [N m] and residuals [rad] are (n,).
+        Those at rest and those without an output angle are left out.
         """
         from hd_diag.monitor.kernel_orders import follow  # late: it imports numba
 
-        follow(stamp, input_angle, output_angle, torque, residual, *self.state)
+        follow(samples, joint, *self.state)
 
     def known(self) -> list[Order]:
         """The orders that the motion so far shows apart from others."""

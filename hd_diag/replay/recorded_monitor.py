@@ -28,6 +28,7 @@ from hd_diag.model.mesh import Mesh
 from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.monitor.all_joints import Monitor
 from hd_diag.monitor.carried import carried, carry_on
+from hd_diag.monitor.comparison import Errors
 from hd_diag.monitor.publications import Publication, Report, Status
 from hd_diag.replay import versions
 from hd_diag.replay.events import write_event
@@ -123,10 +124,20 @@ class Session:
         heard: Times | None = None,
     ) -> None:
         """Take messages, as `Monitor.mixed_states`; a temperature in them is valid for all of them."""
+        self.publish(received, self.errors(received if heard is None else heard, shapes, refused))
+
+    def errors(
+        self, heard: Times, shapes: Sequence[JointStates], refused: Sequence[tuple[int, str]]
+    ) -> Errors:
+        """Take messages, as `Monitor.errors`, before `publish`."""
         for states in shapes:
             for joint, column in temperatures(states).items():
                 self.monitor.temperature(joint, float(column[-1]))
-        self._publish(self.monitor.mixed_states(received, shapes, refused, heard))
+        return self.monitor.errors(heard, shapes, refused)
+
+    def publish(self, received: Times, errors: Errors) -> None:
+        """Publish errors, whose rows are positions in `received` (n,) [ns]."""
+        self._publish(self.monitor.publications(received, errors))
 
     def temperature(self, joint: str, data: bytes) -> None:
         """Take a Temperature message in CDR."""

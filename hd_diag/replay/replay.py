@@ -17,6 +17,7 @@ from hd_diag.config.parameters import shown
 from hd_diag.messages.publications import LAST_TIME, Encoded, resolved
 from hd_diag.messages.schemas import jazzy
 from hd_diag.model.torsion_map import TorsionMap, build
+from hd_diag.monitor.comparison import together
 from hd_diag.monitor.joint import Joint
 from hd_diag.records.joint_topics import no_input
 from hd_diag.replay import versions
@@ -31,8 +32,8 @@ _NANOSECONDS = 1_000_000_000
 _LONGEST_SILENCE = 60 * _NANOSECONDS  # of a bag, over which reports go on [ns]
 _MAPS_KEPT = 4
 _FACTS = {"latency_p99_us": "nan", "log_state": "off"}
-_MOST_BYTES = 32 << 20  # of arrays and drawings that wait to be written
-_ARRAYS_SIZE, _DRAWING_SIZE = 10_000, 1 << 20  # of one joint, about [byte]
+_MOST_BYTES = 2 << 20  # that are published at once
+_ANGLES_SIZE, _ARRAYS_SIZE, _DRAWING_SIZE = 500, 10_000, 1 << 20  # of one joint, about [byte]
 
 Progress = Callable[[int, int], None]
 
@@ -151,13 +152,22 @@ class _Run:
         elif name in sources.topics.temperatures:
             self._temperatures(mixed, sources.topics.temperatures[name])
         else:
-            shapes, refused = sources.topics.columns(mixed)
-            for rows in self._pieces(mixed.log_time, temperature_changes(shapes)):
-                self._copy(mixed, rows)
+            self._joint_states(mixed)
+        self.done += mixed.log_time.size
+
+    def _joint_states(self, mixed: Mixed) -> None:
+        """Take joint states; the reports that are due between them stand before them in the output."""
+        shapes, refused = self._sources.topics.columns(mixed)
+        session, cuts = self._running, temperature_changes(shapes)
+        for whole in self._parts(mixed.log_time):
+            found = []
+            for rows in self._between_reports(mixed.log_time, whole, cuts):
                 here = [states.between(rows.start, rows.stop) for states in shapes]
                 bad = [(at - rows.start, why) for at, why in refused if rows.start <= at < rows.stop]
-                self._running.mixed_states(mixed.log_time[rows], [s for s in here if s.row.size], bad)
-        self.done += mixed.log_time.size
+                some = [states for states in here if states.row.size]
+                found.append((rows.start - whole.start, session.errors(mixed.log_time[rows], some, bad)))
+            self._copy(mixed, whole)
+            session.publish(mixed.log_time[whole], together(found))
 
     def result(self) -> Replay:
         """Account of the whole replay, with a last report."""
@@ -196,19 +206,24 @@ class _Run:
                 self._reader.path, "holds times beyond the year 2038, which ROS 2 cannot represent"
             )
 
-    def _pieces(self, times: Times, cuts: Integers) -> Iterator[slice]:
-        """Rows to take at once, with the reports that are due before each piece.
-
-        A piece ends before the next report, at one of the cuts, and where what the node publishes of it may
-        be large.
-        """
+    def _parts(self, times: Times) -> Iterator[slice]:
+        """Rows to publish at once, by the size of what the node publishes of them."""
         config, begin = self._running.config, 0
-        size = len(config.joints) * (config.array_rate * _ARRAYS_SIZE + config.mesh_rate * _DRAWING_SIZE)
-        longest = int(_NANOSECONDS * _MOST_BYTES / max(1.0, size))
+        joints = len(config.joints)
+        most, size = _MOST_BYTES // (joints * _ANGLES_SIZE) + 1, config.array_rate * _ARRAYS_SIZE
+        size += config.mesh_rate * _DRAWING_SIZE
+        longest = int(_NANOSECONDS * _MOST_BYTES / max(1.0, joints * size))
         while begin < times.size:
-            last = min(self._report_until(int(times[begin])), int(times[begin]) + longest)
-            end = max(begin + 1, int(np.searchsorted(times, last)))
-            end = min([end, *cuts[cuts > begin][:1].tolist()])
+            end = int(np.searchsorted(times, int(times[begin]) + longest))
+            yield (rows := slice(begin, max(begin + 1, min(end, begin + most))))
+            begin = rows.stop
+
+    def _between_reports(self, times: Times, whole: slice, cuts: Integers) -> Iterator[slice]:
+        """Parts of some rows, with the reports that are due before each: up to the next report, or a cut."""
+        begin = whole.start
+        while begin < whole.stop:
+            end = max(begin + 1, int(np.searchsorted(times, self._report_until(int(times[begin])))))
+            end = min([end, whole.stop, *cuts[cuts > begin][:1].tolist()])
             yield slice(begin, end)
             begin = end
 
