@@ -106,7 +106,7 @@ def test_what_is_undecided_has_no_least_size_and_says_why() -> None:
     [
         ("torque_gain", BY_PARAMETERS),  # compliances are a gain of the torque
         ("wear_backlash", BY_PARAMETERS),  # the datum is the backlash
-        ("coupling_misalignment", "wave of order 2, of which any joint has some, imitates it"),
+        ("coupling_misalignment", "function of speed, of which any joint has some, imitates it"),
         ("thermal_drift", "no temperature is measured"),
     ],
 )

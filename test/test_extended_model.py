@@ -80,7 +80,7 @@ def test_every_effect_runs(name: str) -> None:
 @pytest.mark.parametrize("delay", [2e-3, -2e-3])
 def test_a_remainder_beside_a_late_output_depends_on_no_chunk(delay: float) -> None:
     """A stream does not carry what is said of the samples themselves: its rate must know nothing of it."""
-    line = Term(ORDERS[1], tuple(np.linspace(0.3, 1.0, ORDERS[1].size)), (1e-4, -60.0, 60.0))
+    line = Term(ORDERS[2], tuple(np.linspace(0.3, 1.0, ORDERS[2].size)), (1e-4, -60.0, 60.0))
     late = term("stream_delay", {"delay": delay})
     made, alone = (ExtendedModel(MODEL.drive, terms, 0.0, RANGES) for terms in ((late, line), (late,)))
     singles = assert_singles_are_the_whole(made)

@@ -259,12 +259,6 @@ def first(name: str, size: float) -> Cause:
     return dataclasses.replace(made, coefficients=sizes, covariance=np.zeros((count, count)))
 
 
-def bent(arcsec: float, play: float = 0.0) -> Cause:
-    """A coupling that turns unevenly by so much at the input."""
-    made = first("coupling_misalignment", 4.0 * arcsec * ARCSEC)
-    return dataclasses.replace(made, coefficients=made.coefficients + np.array([0.0, 0.0, play]))
-
-
 def spread(deviation: float) -> Cause:
     """A loop of 33 arcsec with a deviation [arcsec]."""
     made = loop(33.0)
@@ -300,10 +294,10 @@ UNCERTAIN = cause("torque_offset")
         *((first("output_runout", size * ARCSEC), size < 10.0) for size in (9.0, 11.0)),
         *((first("output_encoder_eccentricity", size * ARCSEC), size < 10.0) for size in (9.0, 11.0)),
         *((first("input_encoder_eccentricity", size * ARCSEC), size < 600.0) for size in (540.0, 660.0)),
-        # An encoder of the input may read twice per turn, too, and has no play.
-        *((bent(size), size < 600.0) for size in (540.0, 660.0)),
-        (bent(300.0, play=1e-4), False),
-        (dataclasses.replace(bent(300.0, play=1e-4), covariance=1e-8 * np.eye(4)), True),
+        # Any wave of an encoder, its lines too.
+        *((first("output_encoder_interpolation", size * ARCSEC), size < 10.0) for size in (9.0, 11.0)),
+        *((first("encoder_interpolation", size * ARCSEC), size < 600.0) for size in (540.0, 660.0)),
+        (first("coupling_misalignment", 9.0 * ARCSEC), False),  # where it is named it has play
     ],
 )
 def test_what_a_new_joint_has_is_usual(made: Cause, usual: bool) -> None:

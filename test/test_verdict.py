@@ -26,7 +26,7 @@ from hd_diag.diagnosis.judgement import Answer
 from hd_diag.diagnosis.statements import sentence, sentences
 from hd_diag.diagnosis.verdict import as_json, summary
 from hd_diag.effects import CATALOGUE
-from hd_diag.effects.remainders import ORDERS, PLACE, SPEED, TIME, TORQUE, Remainder
+from hd_diag.effects.remainders import EVEN, ORDERS, PLACE, SPEED, TIME, TORQUE, Remainder
 from hd_diag.extended_model import ExtendedModel, Term
 
 pytestmark = pytest.mark.usefixtures("accuracy_once")
@@ -416,7 +416,8 @@ def test_by_a_motor_s_current_what_the_motor_imitates_is_not_absent() -> None:
         (SPEED, "a part that follows the speed (9.00 arcsec at 20 rad/s)"),
         (PLACE, "a part that follows the output's place (9.00 arcsec at 1.15e+03 °)"),
         (TIME, "a slow drift (9.00 arcsec at 20 s)"),
-        (ORDERS[1], "a wave of 2 per input turn that changes with the torque (3.00 arcsec rms)"),
+        (EVEN, "a wave of 2 per input turn (3.00 arcsec rms)"),
+        (ORDERS[2], "a wave of 2 per input turn that changes with the torque (3.00 arcsec rms)"),
     ],
 )
 def test_what_is_larger_than_usual_is_said(effect: Remainder, said: str) -> None:

@@ -106,5 +106,5 @@ def _imitated(best: Set, evidence: Evidence, effect: Effect) -> str:
     most = max(best.widths, key=left, default="")
     if not most or left(most) < _MOST * left(""):
         return _TOO_SMALL
-    what = words(most.replace("line_", "wave of order "))
+    what = words(most.removeprefix("even_").replace("line_", "wave of order "))
     return f"{what}, of which any joint has some, imitates it: this record cannot tell them apart"

@@ -26,18 +26,18 @@ Beside = Literal["within", "near", "beyond", "open"]
 """A value beside its limit: under it, over it, too near to it to tell which, or unknown."""
 
 
-_LOOP, _COUPLING = "hysteresis", "coupling_misalignment"
+_LOOP = "hysteresis"
 _ENCODER = 600.0 * ARCSEC  # of the input: what a resolver's data sheet allows
+_DISC = 10.0 * ARCSEC  # of the output's encoder: a disc of 100 mm that is mounted to 2.5 um
 _USUAL = {
     _LOOP: 0.5 * USUAL_LOOP,  # to either side
     "input_encoder_eccentricity": _ENCODER,
-    _COUPLING: 4.0 * _ENCODER,  # a wave of a quarter of it, as the input's encoder may read twice per turn
-    "output_encoder_eccentricity": 10.0 * ARCSEC,  # a disc of 100 mm that is mounted to 2.5 um
-    "output_runout": 10.0 * ARCSEC,  # the same of a flange: no record tells them apart
+    "encoder_interpolation": _ENCODER,
+    "output_encoder_eccentricity": _DISC,
+    "output_runout": _DISC,  # a flange's: no record tells them apart
+    "output_encoder_interpolation": _DISC,
 }
 """Largest values that a new joint may have; of waves those of the first."""
-
-_PLAY = 2  # number of a coupling's coefficient
 
 _FRICTION = ("coulomb_windup", "viscous_windup")
 """Causes that are usual up to the effect's usual size: chosen, two per cent of the rated torque, 1 N m of a
@@ -52,8 +52,6 @@ def is_usual(cause: Cause) -> bool:
     value, way = _size(cause.effect, cause.coefficients)
     spread = math.sqrt(max(float(way @ cause.covariance[: way.size, : way.size] @ way), 0.0))
     certain = 1.0 - CERTAIN_SIZE * spread / max(value, 1e-300)
-    if cause.effect.name == _COUPLING and _is_certain(cause, _PLAY):  # no encoder has play
-        return False
     for effect, coefficients in ((cause.effect, cause.coefficients), *cause.others):
         limit = float(effect.usual[0]) if effect.name in _FRICTION else _USUAL.get(effect.name, -math.inf)
         own, _ = _size(effect, coefficients)
@@ -62,11 +60,6 @@ def is_usual(cause: Cause) -> bool:
         if shown * certain <= limit:
             return True
     return False
-
-
-def _is_certain(cause: Cause, number: int) -> bool:
-    """Whether a coefficient, by its number, is more than its deviation may make of it."""
-    return bool(cause.coefficients[number] > CERTAIN_SIZE * math.sqrt(cause.covariance[number, number]))
 
 
 def _size(effect: Effect, coefficients: Floats) -> tuple[float, Floats]:

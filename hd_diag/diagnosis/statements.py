@@ -17,6 +17,7 @@ from hd_diag.diagnosis.evidence.unexplained import Unexplained
 from hd_diag.diagnosis.fit.fit_parameters import direction_period
 from hd_diag.diagnosis.judgement import Answer, Change, first_words, is_usual
 from hd_diag.effects.effect import Effect
+from hd_diag.effects.remainders import EVEN, Line
 from hd_diag.formatting import ARCSEC, arcsec, direction, si, spread_number, words
 
 _DISPLACED = {
@@ -193,9 +194,9 @@ _OF = {
 def function_in_words(one: Function) -> str:
     """A remainder in words, with its size."""
     name = one.effect.name.removeprefix("function_of_")
-    if name not in _OF:
-        order = name.removeprefix("line_")
-        return f"a wave of {order} per input turn that changes with the torque ({arcsec(one.rms)} rms)"
+    if isinstance(one.effect, Line):
+        law = "" if one.effect is EVEN else " that changes with the torque"
+        return f"a wave of {one.effect.order} per input turn{law} ({arcsec(one.rms)} rms)"
     what, scale, unit = _OF[name]
     return f"{what} ({arcsec(one.largest)} at {one.at * scale:.3g} {unit})"
 

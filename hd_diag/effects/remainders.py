@@ -14,7 +14,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Effect, Kind, Stage, Stepped, Values
-from hd_diag.effects.quantity import Quantity
+from hd_diag.effects.quantity import Quantity, turning
 from hd_diag.effects.recursions import slip
 from hd_diag.effects.signals import Signals
 
@@ -74,6 +74,13 @@ class Law(Remainder):
         """The shape times the size; see :meth:`Effect.columns`."""
         size, low, high = nonlinear
         return size * self.shape(signals, low, high)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Line(Law):
+    """Waves of so many periods per turn of the input."""
+
+    order: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -231,17 +238,31 @@ TIME = Law(
     follows="time",
     shape=_time,
 )
-ORDERS = tuple(
-    Law(
-        name=f"line_{order}",
-        cause=f"A wave of {order} per input turn, which changes with the torque's magnitude.",
-        frame="input",
-        needs=("output_angle", "torque"),
-        source="couplings, encoders and lobes that are off as is usual",
-        quantities=_quantities(2 * (_HATS + _ODD), "rad", "N m"),
-        shape=_line(order),
-    )
-    for order in LINES
+EVEN = Line(
+    name="even_line_2",
+    cause="A wave of 2 per input turn, alike under any torque.",
+    frame="input",
+    needs=("output_angle",),
+    source="gears whose teeth are preloaded, encoders and couplings: none of them can be told from another",
+    quantities=_quantities(2, "rad", "N m"),
+    shape=lambda signals, low, high: turning(2.0 * signals.input_angle),
+    order=2,
+)
+ORDERS = (
+    EVEN,  # first: where it is enough, the next need not grow
+    *(
+        Line(
+            name=f"line_{order}",
+            cause=f"A wave of {order} per input turn, which changes with the torque's magnitude.",
+            frame="input",
+            needs=("output_angle", "torque"),
+            source="couplings, encoders and lobes that are off as is usual",
+            quantities=_quantities(2 * (_HATS + _ODD), "rad", "N m"),
+            shape=_line(order),
+            order=order,
+        )
+        for order in LINES
+    ),
 )
 REMAINDERS = (TORQUE, LOOP, SPEED, PLACE, TIME, *ORDERS)
 """All of them; a model file may hold each once."""

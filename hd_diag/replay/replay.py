@@ -209,10 +209,10 @@ class _Run:
     def _parts(self, times: Times) -> Iterator[slice]:
         """Rows to publish at once, by the size of what the node publishes of them."""
         config, begin = self._running.config, 0
-        joints = len(config.joints)
-        most, size = _MOST_BYTES // (joints * _ANGLES_SIZE) + 1, config.array_rate * _ARRAYS_SIZE
-        size += config.mesh_rate * _DRAWING_SIZE
-        longest = int(_NANOSECONDS * _MOST_BYTES / max(1.0, joints * size))
+        rates = config.array_rate * _ARRAYS_SIZE + config.mesh_rate * _DRAWING_SIZE
+        bytes_of_each = _MOST_BYTES / max(1, len(config.joints))
+        most = int(bytes_of_each / _ANGLES_SIZE) + 1
+        longest = int(_NANOSECONDS * bytes_of_each / max(1.0, rates))
         while begin < times.size:
             end = int(np.searchsorted(times, int(times[begin]) + longest))
             yield (rows := slice(begin, max(begin + 1, min(end, begin + most))))

@@ -20,7 +20,7 @@ from hd_diag.diagnosis.noise import Whitening, whitening
 from hd_diag.effects.effect import Effect
 from hd_diag.effects.order_spectrum import prominence, spectrum, top
 from hd_diag.effects.quantity import turning
-from hd_diag.effects.remainders import LINES, ORDERS
+from hd_diag.effects.remainders import Line
 
 Rows = npt.NDArray[np.bool_]
 
@@ -90,11 +90,11 @@ class Remainder:
         beside = np.concatenate((fit.always(), fit.joined(known)), axis=1)
         residual, lines = fit.remainder(chosen), []
         for item, place in zip(chosen, fit.places(chosen), strict=True):
-            if not _is_line(item[0]) or (item[0] in ORDERS and item[0].name not in described):
+            if not _is_line(item[0]) or (isinstance(item[0], Line) and item[0].name not in described):
                 continue
             residual = residual + fit.columns(*item) @ beta[place]
-            if item[0] in ORDERS:
-                lines.append(float(LINES[ORDERS.index(item[0])]))
+            if isinstance(item[0], Line):
+                lines.append(float(item[0].order))
             else:
                 lines.append(item[1][0] / (abs(s.ratio) if isinstance(item[0], OutputLine) else 1.0))
         return Remainder(
@@ -107,7 +107,7 @@ class Remainder:
             fit.data.run,
             fit.data.block,
             s.ratio,
-            tuple(lines),
+            tuple(dict.fromkeys(lines)),
         )
 
     def phase(self, frame: str) -> Floats:
@@ -140,7 +140,7 @@ class Remainder:
 
 
 def _is_line(effect: Effect) -> bool:
-    return isinstance(effect, (InputLine, OutputLine)) or effect in ORDERS
+    return isinstance(effect, (InputLine, OutputLine, Line))
 
 
 def strongest(rest: Remainder) -> Wave | None:
