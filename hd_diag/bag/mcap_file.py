@@ -44,7 +44,7 @@ COMPRESSIONS = tuple(_COMPRESS)
 WRITTEN_BY = "hd_diag"
 """What the head of a file says of the program that wrote it."""
 # Chunks that may wait to be written: they bound the memory, and what a crash costs.
-_MOST_WAITING = 8
+_MOST_WAITING = 16
 _LARGE = 4 << 20  # above this a chunk is waited for, as are those before it [byte]
 _FIXED = MESSAGE.size - RECORD.size  # of a message, in the length of its record [byte]
 _HEAD, _INDEX, _ENTRY = struct.Struct("<BQH"), struct.Struct("<BQHI"), struct.Struct("<QQ")

@@ -32,15 +32,15 @@ def other_rows(
     to the last digit, and come back, three times and more. Where other columns are constant in these rows
     too, all such rows are the publisher's, also those near the joint's own path.
     """
-    keys = {name: _key(column, period.get(name, inf)) for name, column in columns.items()}
     longest = {"torque": _SHORT}
     between = [
-        _between(columns[name], key, bag, period.get(name, inf), longest.get(name, time.size))
-        for name, key in keys.items()
+        _between(column, bag, period.get(name, inf), longest.get(name, time.size))
+        for name, column in columns.items()
     ]
     rows: Rows = np.any(between, axis=0) if between else np.zeros(time.size, dtype=bool)
     if not rows.any():
         return rows, ""
+    keys = {name: _key(column, period.get(name, inf)) for name, column in columns.items()}
     alike = {name: float(key[rows][0]) for name, key in keys.items() if np.ptp(key[rows]) == 0.0}
     if len(alike) > 1:
         rows = rows | np.all([keys[name] == value for name, value in alike.items()], axis=0)
@@ -63,10 +63,14 @@ def _key(column: Floats, period: float) -> Floats:
     return np.asarray(np.where(place >= np.round(period, _DIGITS), 0.0, place))
 
 
-def _between(column: Floats, key: Floats, bag: Integers, period: float, longest: int) -> Rows:
+def _between(column: Floats, bag: Integers, period: float, longest: int) -> Rows:
     """Rows (n,) of a column that jumps to one value and back, within so many rows."""
     found = np.zeros(column.size, dtype=bool)
     finite = np.isfinite(column)
+    steps = np.diff(column[finite])
+    if period == inf and not (steps.max(initial=0.0) > _SMALLEST and steps.min(initial=0.0) < -_SMALLEST):
+        return found  # none there and back
+    key = _key(column, period)
     ordered = np.sort(key[finite])
     if not np.any(ordered[_LEAST - 1 :] == ordered[: 1 - _LEAST]):  # a joint that moves: no value so often
         return found
