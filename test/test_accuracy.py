@@ -83,6 +83,13 @@ def test_a_wave_that_was_found_counts_by_its_own_peaks() -> None:
     assert found(record(both)).value == pytest.approx(np.hypot(60.0, 40.0), abs=3.0)
 
 
+def test_a_wave_that_was_found_twice_counts_once() -> None:
+    """Two estimates of its order, apart by less than the record tells, leave no wave for either."""
+    made = record(lambda x, load: lobes(x, load) + 6.0 * np.cos(0.225 * x))
+    assert found(made, (0.225,)).value == pytest.approx(72.0, abs=1.0)
+    assert found(made, (0.2249, 0.2251)).value == pytest.approx(72.0, abs=1.0)
+
+
 def test_a_drift_is_no_error_of_the_gear() -> None:
     """It makes waves of the output's turn uncertain, and says so."""
 

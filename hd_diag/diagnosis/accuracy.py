@@ -89,7 +89,8 @@ def accuracy(
     rest = error - laws @ (inverse(laws.T @ laws) @ (laws.T @ error))
     # Of a part of a turn a wave of it is no wave.
     turns = _covered(record)
-    given = kinematics, rated_torque, orders, _OUTPUT_ORDERS if turns >= WHOLE_TURN else ()
+    told = _told_apart(orders, float(np.ptp(record.input_angle)))
+    given = kinematics, rated_torque, told, _OUTPUT_ORDERS if turns >= WHOLE_TURN else ()
     waves = _waves(some, some.torque, *given)
     own, kept = _apart(waves, laws, some.run)
     levels = np.unique(np.quantile(some.torque, _LEVELS)).tolist()
@@ -121,6 +122,15 @@ def _covered(record: Record) -> float:
     """Share of an output turn that a record covers."""
     place = np.floor(np.mod(record.output_angle / (2.0 * np.pi), 1.0) * _PLACES).astype(np.int64)
     return np.unique(np.minimum(place, _PLACES - 1)).size / _PLACES
+
+
+def _told_apart(orders: Sequence[float], way: float) -> list[float]:
+    """Orders that a way of the input [rad] tells from those of any gear, and from each other."""
+    told: list[float] = []
+    for order in orders:
+        if all(abs(order - one) * way > 2.0 * np.pi for one in (*_INPUT_ORDERS, *told)):
+            told.append(order)
+    return told
 
 
 def _waves(
