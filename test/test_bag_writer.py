@@ -12,6 +12,7 @@ import tracemalloc
 from pathlib import Path
 from unittest import mock
 
+import numpy as np
 import pytest
 import yaml
 from bag_samples import JOINT_STATE, MS, STRING, rows, string_cdr
@@ -442,3 +443,20 @@ def test_a_new_bag_is_written_in_its_place(tmp_path):
     for name, overwrite in (("a.mcap", False), ("b", True)):
         with replaced(tmp_path / name, overwrite=overwrite) as place:
             assert place == tmp_path / name
+
+
+def test_two_writers_at_once_do_not_share_a_compressor(tmp_path):
+    """A node has a log and a snapshot: their threads compress at the same time."""
+    content = np.random.default_rng(0).integers(0, 9, (40_000, 200)).astype(np.uint8)
+    content[:, :4] = list(b"\0\1\0\0")
+    times = 1000 * np.arange(len(content))
+    paths = [tmp_path / f"{name}.mcap" for name in "ab"]
+    with BagWriter(paths[0]) as one, BagWriter(paths[1]) as other:
+        for first in range(0, len(content), 2000):
+            part = slice(first, first + 2000)
+            for writer in (one, other):
+                writer.write_many("/text", "std_msgs/msg/String", content[part], times[part])
+    for path in paths:
+        with BagReader(path) as reader:
+            found = [bytes(data) for batch in reader.batches(["/text"]) for data in batch.messages()]
+        assert found == [row.tobytes() for row in content]

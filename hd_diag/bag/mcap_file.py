@@ -13,7 +13,7 @@ import struct
 import time
 import zlib
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
@@ -35,12 +35,13 @@ from hd_diag.bag.mcap_scan import MAGIC
 from hd_diag.bag.open_chunk import ROOM, UNKNOWN, OpenChunk, bits
 
 # Level 1: floats hardly compress better at higher levels, and the node writes while it works.
-_COMPRESS = {
-    "zstd": zstandard.ZstdCompressor(level=-1).compress,  # a quarter faster than 1, files 2 % larger
-    "lz4": lz4.frame.compress,
-    "none": memoryview,
+# Made for each file: a compressor may not serve two threads at once, and a node has a log and a snapshot.
+_COMPRESSORS: dict[str, Callable[[], Callable[[Any], Any]]] = {
+    "zstd": lambda: zstandard.ZstdCompressor(level=-1).compress,  # a quarter faster than 1, files 2 % larger
+    "lz4": lambda: lz4.frame.compress,
+    "none": lambda: memoryview,
 }
-COMPRESSIONS = tuple(_COMPRESS)
+COMPRESSIONS = tuple(_COMPRESSORS)
 WRITTEN_BY = "hd_diag"
 """What the head of a file says of the program that wrote it."""
 # Chunks that may wait to be written: they bound the memory, and what a crash costs.
@@ -83,6 +84,7 @@ class McapFile:
         self.start: int | None = None
         self.written = Written(path, records.Statistics(0, 0, {}, 0, 0, 0, UNKNOWN, 1, 0))
         self._compression, self._chunk_size = compression, chunk_size
+        self._compress = _COMPRESSORS[compression]()
         self._rooms: deque[bytearray] = deque()  # of chunks that are written
         self._chunk = self._begun()
         self._failed = self.is_whole = False
@@ -263,7 +265,7 @@ class McapFile:
         size, stored = len(data), b""
         try:
             if chunk.long is None:
-                stored = _COMPRESS[self._compression](data)
+                stored = self._compress(data)
                 length, checksum = len(stored), zlib.crc32(data)
             else:
                 size, name = size + chunk.long.size, name and "lz4"
