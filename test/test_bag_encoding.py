@@ -83,6 +83,8 @@ def test_wrong_shapes_and_stamps_beyond_ros_time_are_refused():
     for stamp in (2**31 * 10**9, -(2**31) * 10**9 - 1):
         with pytest.raises(ValueError, match="32 bits"):
             encode_joint_states(("a",), [stamp], np.zeros((1, 1)))
+        with pytest.raises(ValueError, match="32 bits"):
+            encode_headers([stamp], "a")
     assert encode_joint_states(("a",), [], np.zeros((0, 1))).shape[0] == 0
 
 

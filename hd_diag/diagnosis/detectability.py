@@ -16,6 +16,7 @@ from hd_diag.diagnosis.evidence.sets import Set, presence
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.effects.effect import Effect, Values
 from hd_diag.effects.excitation import torque_known
+from hd_diag.effects.remainders import ORDERS
 from hd_diag.formatting import words
 
 NOT_PROVED = "what is left looks like it, and does not prove it"
@@ -106,5 +107,6 @@ def _imitated(best: Set, evidence: Evidence, effect: Effect) -> str:
     most = max(best.widths, key=left, default="")
     if not most or left(most) < _MOST * left(""):
         return _TOO_SMALL
-    what = words(most.removeprefix("even_").replace("line_", "wave of order "))
+    lines = {line.name: f"wave of order {line.order}" for line in ORDERS}
+    what = lines.get(most) or words(most)
     return f"{what}, of which any joint has some, imitates it: this record cannot tell them apart"

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from hd_diag.arrays import Bytes, Integers
+from hd_diag.arrays import Bytes, Integers, Times
 from hd_diag.messages.joint_states import JointStateDecoder, decode_joint_states, kernel
 
 HEADER = b"\0\1\0\0"
@@ -57,18 +57,27 @@ def encode_joint_states(
     template, places = _joint_state(tuple(names), frame_id, tuple(present))
     rows = np.empty((time.size, template.size), np.int32)
     if not kernel().write(rows, template, time, *values, places):
-        raise ValueError(f"stamps: seconds beyond 32 bits, from {time.min()} to {time.max()} ns")
+        raise _beyond(time)
     return rows.view(np.uint8)
 
 
 def encode_headers(stamps: npt.ArrayLike, frame_id: str) -> Bytes:
-    """std_msgs/Header messages, shape (n, size): times [ns] (n,) and what they belong to."""
-    time = np.empty((np.size(stamps), 2), np.int32)
-    time[:, 0], time[:, 1] = np.divmod(stamps, 1_000_000_000)
+    """std_msgs/Header messages, shape (n, size): times [ns] (n,) and what they belong to.
+
+    Raises ValueError where a stamp does not fit into a ROS time.
+    """
+    time = np.asarray(stamps, np.int64)
+    parts = np.stack(np.divmod(time, 1_000_000_000), axis=1)
+    if np.any(parts != parts.astype(np.int32)):
+        raise _beyond(time)
     head = HEADER + bytes(8) + text(frame_id, 1)
-    rows = np.tile(np.frombuffer(head, np.uint8), (len(time), 1))
-    rows[:, len(HEADER) : len(HEADER) + 8] = time.view(np.uint8)
+    rows = np.tile(np.frombuffer(head, np.uint8), (time.size, 1))
+    rows[:, len(HEADER) : len(HEADER) + 8] = parts.astype(np.int32).view(np.uint8)
     return rows
+
+
+def _beyond(time: Times) -> ValueError:
+    return ValueError(f"stamps: seconds beyond 32 bits, from {time.min()} to {time.max()} ns")
 
 
 def warm_up() -> None:

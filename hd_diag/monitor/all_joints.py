@@ -14,7 +14,7 @@ import numpy as np
 from hd_diag.arrays import Floats, Times
 from hd_diag.drive import mesh_state
 from hd_diag.model.torsion_map import TorsionMap
-from hd_diag.monitor.comparison import Comparison, Errors, nothing
+from hd_diag.monitor.comparison import Comparison, Errors
 from hd_diag.monitor.health import status
 from hd_diag.monitor.joint import Joint, Window
 from hd_diag.monitor.publications import Drawings, Publication, Report, Stamps, ToothArrays, angles
@@ -103,7 +103,7 @@ class Monitor:
         """
         samples = self.streams.take(heard, shapes, refused)
         if not samples.row.size:
-            return nothing(samples)
+            return Errors(samples, *np.empty((3, 0)))
         errors = self._comparison.errors(samples, *self._by_models(samples))
         if self._comparison.count - self._comparison.followed >= _FOLLOWED:
             self._follow()

@@ -47,11 +47,6 @@ class Errors(NamedTuple):
     residual: Floats
 
 
-def nothing(samples: Aligned) -> Errors:
-    """Errors of no samples."""
-    return Errors(samples, _NOTHING, _NOTHING, _NOTHING)
-
-
 def together(parts: Sequence[tuple[int, Errors]]) -> Errors:
     """Errors of messages that were taken in parts, each with the position at which its rows begin."""
     if len(parts) == 1 and parts[0][0] == 0:

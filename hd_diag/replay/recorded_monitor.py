@@ -106,34 +106,28 @@ class Session:
         shapes, refused = _read(received, taken)
         for states in shapes:
             self.lag = float(np.fmax(self.lag, np.max(received[states.row] - states.stamp) * 1e-9))
-        begin = 0
+        heard, begin = received if heard is None else heard, 0
         for end in (*temperature_changes(shapes).tolist(), received.size):
             if begin < end:
-                here = [states.between(begin, end) for states in shapes]
-                bad = [(row - begin, why) for row, why in refused if begin <= row < end]
-                heard_at = None if heard is None else heard[begin:end]
-                some = [states for states in here if states.row.size]
-                self.mixed_states(received[begin:end], some, bad, heard_at)
+                rows = slice(begin, end)
+                self.publish(received[rows], self.errors(heard, shapes, refused, rows))
             begin = end
 
-    def mixed_states(
+    def errors(
         self,
-        received: Times,
+        heard: Times,
         shapes: Sequence[JointStates],
         refused: Sequence[tuple[int, str]],
-        heard: Times | None = None,
-    ) -> None:
-        """Take messages, as `Monitor.mixed_states`; a temperature in them is valid for all of them."""
-        self.publish(received, self.errors(received if heard is None else heard, shapes, refused))
-
-    def errors(
-        self, heard: Times, shapes: Sequence[JointStates], refused: Sequence[tuple[int, str]]
+        rows: slice,
     ) -> Errors:
-        """Take messages, as `Monitor.errors`, before `publish`."""
-        for states in shapes:
+        """Take some rows of messages, as `Monitor.errors`; a temperature in them is valid for all of them."""
+        every = (states.between(rows.start, rows.stop) for states in shapes)
+        here = [states for states in every if states.row.size]
+        bad = [(row - rows.start, why) for row, why in refused if rows.start <= row < rows.stop]
+        for states in here:
             for joint, column in temperatures(states).items():
                 self.monitor.temperature(joint, float(column[-1]))
-        return self.monitor.errors(heard, shapes, refused)
+        return self.monitor.errors(heard[rows], here, bad)
 
     def publish(self, received: Times, errors: Errors) -> None:
         """Publish errors, whose rows are positions in `received` (n,) [ns]."""

@@ -160,12 +160,10 @@ class _Run:
         shapes, refused = self._sources.topics.columns(mixed)
         session, cuts = self._running, temperature_changes(shapes)
         for whole in self._parts(mixed.log_time):
-            found = []
-            for rows in self._between_reports(mixed.log_time, whole, cuts):
-                here = [states.between(rows.start, rows.stop) for states in shapes]
-                bad = [(at - rows.start, why) for at, why in refused if rows.start <= at < rows.stop]
-                some = [states for states in here if states.row.size]
-                found.append((rows.start - whole.start, session.errors(mixed.log_time[rows], some, bad)))
+            found = [
+                (rows.start - whole.start, session.errors(mixed.log_time, shapes, refused, rows))
+                for rows in self._between_reports(mixed.log_time, whole, cuts)
+            ]
             self._copy(mixed, whole)
             session.publish(mixed.log_time[whole], together(found))
 
@@ -215,8 +213,9 @@ class _Run:
         longest = int(_NANOSECONDS * bytes_of_each / max(1.0, rates))
         while begin < times.size:
             end = int(np.searchsorted(times, int(times[begin]) + longest))
-            yield (rows := slice(begin, max(begin + 1, min(end, begin + most))))
-            begin = rows.stop
+            end = max(begin + 1, min(end, begin + most))
+            yield slice(begin, end)
+            begin = end
 
     def _between_reports(self, times: Times, whole: slice, cuts: Integers) -> Iterator[slice]:
         """Parts of some rows, with the reports that are due before each: up to the next report, or a cut."""

@@ -117,12 +117,8 @@ class Evidence:
         apart : iterable
             Names, whitened columns and priors.
         """
-        priors, inner, across, moments = (
-            list[tuple[str, Prior]](),
-            list[Floats](),
-            list[Floats](),
-            [self.moment],
-        )
+        priors, moments = list[tuple[str, Prior]](), [self.moment]
+        inner, across = list[Floats](), list[Floats]()
         for some in _together(apart):
             priors += [(name, prior) for name, _, prior in some]
             more = np.concatenate([part * usual for _, part, (usual, *_) in some], axis=1)
