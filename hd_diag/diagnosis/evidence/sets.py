@@ -120,8 +120,7 @@ class Set:
             (effect.name, _prior(effect, place.stop - place.start, widths[effect.name]))
             for (effect, _), place in zip(chosen[fixed:], fit.places(chosen)[fixed:], strict=True)
         )
-        gram, moment = built.gram.sum(axis=0), built.moment.sum(axis=0)
-        found = Evidence.of(gram, moment, float(built.square.sum()), *fit.prior(self.motor), priors)
+        found = Evidence.of(*built.of_data, float(built.square.sum()), *fit.prior(self.motor), priors)
         if not (others := list(candidates)):
             return found
         columns, (held, steps) = fit.whitened(chosen), fit.on_bounds(chosen)

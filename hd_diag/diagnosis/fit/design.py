@@ -48,9 +48,15 @@ class Design:
 
     def deviance(self) -> float:
         """Residual sum of squares of the fit to all blocks, with that of the prior."""
-        gram, moment = self.whole
-        whole = self.square.sum() + self.precision @ self.pull**2
-        return float(whole - moment @ solve(gram, moment))
+        return self.deviance_at(np.empty(0, np.int64), np.empty(0))
+
+    def deviance_at(self, fixed: Integers, values: Floats) -> float:
+        """The same with the coefficients of some indices fixed at values, (m,) each."""
+        (gram, moment), free = self.whole, np.delete(np.arange(self.pull.size), fixed)
+        rest = moment[free] - gram[np.ix_(free, fixed)] @ values
+        own = values @ (gram[np.ix_(fixed, fixed)] @ values - 2.0 * moment[fixed])
+        known = self.square.sum() + self.precision @ self.pull**2 + own
+        return float(known - rest @ solve(gram[np.ix_(free, free)], rest))
 
     def holding(self, numbers: Integers, values: Floats) -> Design:
         """The same with some coefficients at values: their columns are taken off the target."""
@@ -78,11 +84,16 @@ class Design:
         rest = replace(self, gram=gram, moment=moment, square=square)
         return rest.holding(numbers, np.zeros(numbers.size))
 
-    @property
+    @cached_property
+    def of_data(self) -> tuple[Floats, Floats]:
+        """Normal equations of all blocks."""
+        return self.gram.sum(axis=0), self.moment.sum(axis=0)
+
+    @cached_property
     def whole(self) -> tuple[Floats, Floats]:
         """Normal equations of all blocks and the prior."""
-        gram = self.gram.sum(axis=0) + np.diag(self.precision)
-        return gram, self.moment.sum(axis=0) + self.precision * self.pull
+        gram, moment = self.of_data
+        return gram + np.diag(self.precision), moment + self.precision * self.pull
 
     def held_out(self) -> Floats:
         """Sum of squares of each block, predicted by a fit to all others; shape (blocks,)."""

@@ -329,9 +329,8 @@ class LinearisedFit:
         """Deviance where it is linearised, with the chosen effects as they are present; zeros are free."""
         beta, _, built, _ = self._fit(chosen)
         values = self.at_present(chosen, beta)
-        numbers = np.delete(np.arange(beta.size), np.r_[self.parameters.size : self.always_white.shape[1]])
-        own = built.precision[numbers] @ (values - built.pull)[numbers] ** 2
-        return built.holding(numbers, values[numbers]).deviance() + float(own)
+        fixed = np.delete(np.arange(beta.size), np.r_[self.parameters.size : self.always_white.shape[1]])
+        return built.deviance_at(fixed, values[fixed])
 
     def at_present(self, chosen: Chosen, beta: Floats) -> Floats:
         """Coefficients (k,) where it is linearised: no steps, effects as present; zeros as in others (k,)."""
