@@ -21,7 +21,7 @@ _SAME = 9.0  # deviance that a whole number may cost; half a step away must cost
 _SEGMENTS = 4  # segments to compare phases in, for a record with fewer runs
 _KNOWN = 2.0  # least size of a segment's wave for a usable phase, in standard deviations
 _STEADY = 0.8  # least length of the mean phase vector of the segments; 1 if all phases are equal
-_FEW_INPUT, _FEW_OUTPUT = 8, 4  # highest orders per input turn of the gear; per output turn of runouts
+_FEW_INPUT, _FEW_OUTPUT = 8, 4  # highest orders per turn of the gear; per output turn of eccentric encoders
 
 
 @dataclass(frozen=True)
