@@ -290,7 +290,7 @@ def holds(gain: Floats, predicted: Floats, variance: Floats) -> bool:
         True if the size in held-out blocks is certainly more than half the predicted size, where the gain is
         zero, and not certainly more than twice. The margin is that of noise if the blocks agree or scatter no
         more than noise. Next, the margin of their own scatter is tried: weighted by information, for the
-        effective number of blocks (Kish, Survey Sampling, 1965, 8.2). The gains must have a positive sum, too.
+        effective number of blocks (Kish, Survey Sampling, 1965, 8.2). The gains must have a positive sum.
     """
     told = predicted**2 / np.maximum(variance, 1e-300)
     whole, few = float(told.sum()), gain.size - 1
