@@ -124,7 +124,7 @@ def _standing(found: Found, item: Item) -> Standing:
 def _is_unproved(best: Set, name: str, odds: float, instead_of: Effect) -> bool:
     """Whether the motion cannot prove a cause. It may then be present even if another one fits better.
 
-    The prior odds of both causes are taken out: this motion does not show how many forms it may have.
+    The prior odds of both causes are taken out. They count forms that this motion does not distinguish.
     """
     effect = next((one for one in best.fit.data.searched if one.name == name), None)
     if effect is None or best.fit.data.testable(effect)[0]:

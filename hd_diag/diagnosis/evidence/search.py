@@ -38,7 +38,7 @@ _NEARLY = 5.0  # log odds within which its nonlinear values are polished as well
 _DATUM_STEPS = (2.0, 4.0, 8.0, 16.0)  # to either side, in units of the parameters
 _PLAINLY = 25.0  # log odds on some rows that make a test on all rows unnecessary
 _TO_MINIMUM = 5  # rounds of settling
-_FIRST, _TURN = 0.15, 0.6  # share of the time before the search; share of it that remains after each turn
+_FIRST, _TURN = 0.15, 0.6  # share of the time before the search; share of a half that a turn leaves
 RESTARTS = 1  # times that other minima are tried with the causes found so far
 
 
@@ -51,7 +51,7 @@ DATUM_REACH = "how far the datum may be off"
 
 
 class Candidate(NamedTuple):
-    """A cause at one grid point, its gain before settling [log odds], and the set's prior widths with it."""
+    """A cause at one grid point, its gain before settling [log odds], and all prior widths with it."""
 
     name: str
     item: Item

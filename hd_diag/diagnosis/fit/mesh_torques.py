@@ -35,7 +35,7 @@ class MeshTorques:
         Of the model, in units of `fit_parameters.units`.
     causes : tuple
     as_taken : bool
-        Whether the motor's own torque, in addition to the causes, is exactly what the record subtracts already.
+        Whether the motor takes, in addition to the causes, exactly what is subtracted from the record.
     """
 
     model: RecordModel
@@ -116,7 +116,7 @@ class MeshTorques:
         return np.asarray(both.error - others.error)
 
     def signals(self) -> Signals:
-        """The record as later stages see it: the torque that the mesh bears, and the model's error under it."""
+        """The record as later stages see it: the torque that the mesh bears, the model's error under it."""
         if self._none:
             return self._whole
         error = self._whole.predicted + self.error
