@@ -1,1 +1,1 @@
-"""Which causes a record shows: sets of causes compared by their evidence, beside remainders of any joint."""
+"""Which causes a record shows: sets of causes compared by their evidence, together with remainders."""

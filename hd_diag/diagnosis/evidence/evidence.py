@@ -1,8 +1,8 @@
-"""Evidence of sets of columns from one Gram matrix: sizes integrated out, prior widths by the evidence.
+"""Evidence of sets of columns from one Gram matrix: sizes are integrated out, prior widths maximised.
 
     log evidence(S) = -1/2 [ y'y - m' (G + 1/L)^-1 m + log det(1 + L G) ] + log prior(S)
 
-for whitened columns with normal equations G, m and prior covariance L, the likelihood tempered (MacKay,
+for whitened columns with normal equations G, m and prior covariance L. The likelihood is tempered (MacKay,
 Neural Computation 4, 1992; Miller and Dunson, J. Am. Stat. Assoc. 114, 2019).
 """
 
@@ -20,26 +20,27 @@ from hd_diag.diagnosis.calibration import TEMPER
 
 Widths = Mapping[str, float]
 
-# Usual sizes of a group's columns (k,), widths that their prior may have, and what each larger one costs.
+# Usual sizes of a group's columns (k,), the prior widths to choose from, and log odds for each larger one.
 Prior = tuple[Floats, tuple[float, ...], float]
 
-_WIDE = 1e-2  # prior deviation of the encoders' zeros [rad]: as good as free
-_ROUNDS = 4  # of a search for the best widths
-_BATCH = 64  # columns whose products are made at once
-_ROUNDING = 1e-11  # of products of columns, relative; what is less of a column is rounding
+_WIDE = 1e-2  # prior deviation of the encoders' zeros [rad]: practically free
+_ROUNDS = 4  # sweeps of the search for the best widths
+_BATCH = 64  # columns whose products are computed together
+_ROUNDING = 1e-11  # relative rounding of products of columns: smaller pivots are only rounding
 
 
 @dataclass(frozen=True)
 class Group:
-    """Columns that belong together: their places, and how they are weighed.
+    """Columns that enter a set together.
 
     Attributes
     ----------
     places : ndarray of int64, shape (k,)
+        Indices of the columns.
     widths : tuple of float
-        That their prior may have, in units of the usual size.
+        Prior widths to choose from, in units of the usual size.
     larger : float
-        What each step beyond the usual width costs [log odds].
+        Prior log odds of each step beyond the usual width.
     """
 
     places: Integers
@@ -53,22 +54,22 @@ class Group:
 
 @dataclass(frozen=True)
 class Evidence:
-    """Normal equations of all columns, in groups that may or may not be in a set.
+    """Tempered normal equations of all columns. A set holds the base and some of the groups.
 
     Attributes
     ----------
     gram : ndarray, shape (k, k)
-        Tempered, of columns in units of their usual size.
+        Of columns in units of their usual size.
     moment : ndarray, shape (k,)
     square : float
     unit : ndarray, shape (k,)
-        Those sizes.
+        Usual size of every column.
     base : int
-        Number of the first columns, which every set has; their units make the prior a standard normal one.
+        Number of leading columns that every set has. Their units make the prior standard normal.
     pull : ndarray, shape (base,)
-        Where that is centred.
+        Centre of this prior, in these units.
     groups : dict
-        The others, by any name.
+        Groups of the other columns, by name.
     """
 
     gram: Floats
@@ -88,7 +89,7 @@ class Evidence:
         pull: Floats,
         groups: Iterable[tuple[str, Prior]],
     ) -> Evidence:
-        """From normal equations of whitened columns: the base, then group by group.
+        """Evidence from normal equations of whitened columns: the base, then group by group.
 
         Parameters
         ----------
@@ -96,9 +97,9 @@ class Evidence:
         moment : ndarray, shape (k,)
         square : float
         precision, pull : ndarray, shape (base,)
-            Prior of what every set has.
+            Precision and centre of the base's prior.
         groups : iterable
-            What may be in a set, by name.
+            Name and prior of each group.
         """
         own = np.where(precision > 0.0, np.maximum(precision, 1e-300) ** -0.5, _WIDE)
         sizes, places = _placed(groups, own.size)
@@ -107,15 +108,15 @@ class Evidence:
         return Evidence(whole, TEMPER * unit * moment, TEMPER * square, unit, own.size, pull / own, places)
 
     def beside(self, columns: Floats, target: Floats, apart: Iterable[tuple[str, Floats, Prior]]) -> Evidence:
-        """With groups of which no set has two: their products are not made.
+        """The evidence with more groups. A set holds one of them at most, so their products are not needed.
 
         Parameters
         ----------
         columns : ndarray, shape (n, k)
-            Whitened, of which the normal equations are.
+            Whitened columns of the known normal equations.
         target : ndarray, shape (n,)
         apart : iterable
-            Names, whitened columns and priors.
+            Name, whitened columns and prior of each new group.
         """
         priors, moments = list[tuple[str, Prior]](), [self.moment]
         inner, across = list[Floats](), list[Floats]()
@@ -133,14 +134,14 @@ class Evidence:
         return replace(self, gram=gram, moment=moment, unit=unit, groups=self.groups | places)
 
     def log(self, widths: Widths) -> float:
-        """Log evidence of a set with these prior widths, but for a constant and the priors of presence."""
+        """Log evidence of a set with these prior widths, without a constant and the odds of presence."""
         _, _, _, solved, root = self._solved(widths)
         deviance = self.square + float(self.pull @ self.pull) - float(solved @ solved)
         larger = sum(self.groups[name].cost(width) for name, width in widths.items())
         return -0.5 * deviance - float(np.sum(np.log(np.diag(root)))) + larger
 
     def tuned(self, widths: Widths, names: Iterable[str] | None = None) -> tuple[float, dict[str, float]]:
-        """The best widths near some, and their log evidence; only those of some groups, of all without."""
+        """Highest log evidence near some widths, and its widths; only groups in `names` change if given."""
         found, best = dict(widths), self.log(widths)
         free = [name for name in (found if names is None else names) if len(self.groups[name].widths) > 1]
         for _ in range(_ROUNDS):
@@ -152,14 +153,14 @@ class Evidence:
         return best, found
 
     def _one_tuned(self, widths: dict[str, float], best: float, name: str) -> tuple[float, dict[str, float]]:
-        """After steps of one width, as long as each makes it better."""
+        """Log evidence and widths after steps of one group's width, as long as each step raises it."""
         choices = self.groups[name].widths
         for step in (1, -1):
             at, moved = choices.index(widths[name]), False
             while 0 <= at + step < len(choices):
                 trial = {**widths, name: choices[at + step]}
                 value = self.log(trial)
-                # Far too small a width may need two steps to show.
+                # A far too small width may need two steps to gain; the search stops at one.
                 if value <= best:
                     break
                 best, widths, at, moved = value, trial, at + step, True
@@ -168,7 +169,7 @@ class Evidence:
         return best, widths
 
     def gains(self, widths: Widths, names: Iterable[str]) -> dict[str, tuple[float, float]]:
-        """What each of some groups would bring beside a set: log odds, and the best width for it."""
+        """Gain of each named group if added to a set: log odds, and the prior width that gives them."""
         places, scale, _, solved, root = self._solved(widths)
         found = {}
         whole = solve_triangular(root, scale[:, None] * self.gram[places], lower=True, check_finite=False)
@@ -190,7 +191,7 @@ class Evidence:
         return found
 
     def coefficients(self, widths: Widths) -> tuple[Floats, dict[str, Floats]]:
-        """Most probable coefficients: of the base, in its units, and of each group, in usual sizes."""
+        """Most probable coefficients of the base, in its units, and of each group, in usual sizes."""
         _, scale, _, solved, root = self._solved(widths)
         whole = scale * solve_triangular(root, solved, lower=True, trans=1)
         at, found = self.base, {}
@@ -201,7 +202,7 @@ class Evidence:
         return whole[: self.base], found
 
     def information(self, widths: Widths, name: str) -> tuple[Floats, Floats]:
-        """Of a group in usual sizes, tempered, (k, k): what a set beside it cannot imitate, and all of it."""
+        """Tempered information on a group in usual sizes, (k, k): given the set's columns, and alone."""
         places, scale, _, _, root = self._solved(widths)
         own = self.groups[name].places
         across = solve_triangular(root, scale[:, None] * self.gram[np.ix_(places, own)], lower=True)
@@ -209,7 +210,7 @@ class Evidence:
         return whole - across.T @ across, whole
 
     def _solved(self, widths: Widths) -> tuple[Integers, Floats, Floats, Floats, Floats]:
-        """Places, scales, right side, half-solved right side and Cholesky root of a set."""
+        """Column indices, scales, right side, half-solved right side and Cholesky root of a set."""
         places = [np.arange(self.base), *(self.groups[name].places for name in widths)]
         wide = [np.ones(self.base), *(np.full(self.groups[n].places.size, w) for n, w in widths.items())]
         at, scale = np.concatenate(places), np.concatenate(wide)
@@ -223,7 +224,7 @@ class Evidence:
 
 
 def _placed(priors: Iterable[tuple[str, Prior]], at: int) -> tuple[Floats, dict[str, Group]]:
-    """Usual sizes of groups of columns one after the other (k,), and the groups by name, from a place on."""
+    """Usual sizes of consecutive groups of columns (k,), and the groups by name; indices start at `at`."""
     sizes, places = [np.empty(0)], dict[str, Group]()
     for name, (usual, widths, larger) in priors:
         sizes.append(usual)
@@ -234,7 +235,7 @@ def _placed(priors: Iterable[tuple[str, Prior]], at: int) -> tuple[Floats, dict[
 def _together(
     groups: Iterable[tuple[str, Floats, Prior]],
 ) -> Iterator[list[tuple[str, Floats, Prior]]]:
-    """Some groups at a time."""
+    """Groups in batches of about `_BATCH` columns."""
     some: list[tuple[str, Floats, Prior]] = []
     for group in groups:
         some.append(group)
@@ -246,9 +247,9 @@ def _together(
 
 
 def _root(matrix: Floats) -> Floats:
-    """Cholesky root; of columns that are alike but for rounding, that with a diagonal as much larger.
+    """Cholesky root. If columns differ by rounding only, the diagonal is first raised by this rounding.
 
-    Else the products' rounding, far larger than a prior beside little noise, makes a pivot what it likes, or
+    With little noise the rounding of products exceeds the prior's share. Pivots are then arbitrary or
     negative (Higham, Accuracy and Stability of Numerical Algorithms, 2002, 10.3).
     """
     diagonal = np.diag(matrix)

@@ -1,4 +1,4 @@
-"""Which of the model's parameters a record moves: the others stay as configured, with an upper bound."""
+"""Which of the model's parameters a record moves. The others stay as configured, with an upper bound."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from hd_diag.drive import Drive
 
 DISPLACEMENTS = frozenset(("eccentricity", "runout"))
 HELD = DISPLACEMENTS | {"tilt"}
-"""Groups that may be held."""
+"""Groups that may be held at their configured values."""
 
-_BOUND_STEPS = {"eccentricity": 1, "tilt": 4}  # to where a bound is, from one unit on
+_BOUND_STEPS = {"eccentricity": 1, "tilt": 4}  # iterations of a bound, from one unit on
 
 
 @dataclass(frozen=True)
 class Kept:
-    """Groups that stay as configured as far as a record tells: how far off they may be, at 95 %.
+    """Groups of parameters held at their configured values, and how far off each may be, at 95 %.
 
     Attributes
     ----------
     bounds : dict
         By the group's name, in units of :func:`fit_parameters.units`.
     free : tuple of Set
-        The same causes where nothing is held; empty where nothing is.
+        The same causes with no group held; empty if none is held in the best set.
     """
 
     bounds: dict[str, float]
@@ -41,11 +41,11 @@ class Kept:
 
     @property
     def held(self) -> tuple[int, ...]:
-        """Numbers of the parameters."""
+        """Indices of the held parameters."""
         return tuple(numbers_of(self.bounds))
 
     def physical(self, configured: Drive) -> dict[str, float]:
-        """The bounds in SI."""
+        """The bounds in SI units."""
         units = fit_parameters.units(configured)
         units[5] *= configured.mesh.tooth_compliance
         return {name: bound * float(units[GROUPS[name][0]]) for name, bound in self.bounds.items()}
@@ -55,8 +55,8 @@ class Kept:
     ) -> tuple[Floats, Floats]:
         """Parameters of a fit with these groups held, shape (p,), and their covariance, shape (p, p).
 
-        Intervals reach as far as the bounds; those of the others as far as those of every rival minimum and
-        of the fit where nothing is held, and that of the datum as far as its likelihood does.
+        Intervals of held groups reach as far as their bounds. The others cover the intervals of every rival
+        minimum and of the fit with no group held; that of the datum also covers `datum_reach`.
         """
         fit = whole.fit
         found, spread = parameters_of(whole)
@@ -78,16 +78,16 @@ class Kept:
 
 
 def kept_parameters(free: Set) -> tuple[Set, Kept]:
-    """Hold displacements at their configured values where the evidence is nearly as good without them.
+    """Hold displacements at their configured values if the evidence is nearly as good that way.
 
-    Near none their slopes vanish, so that a free one could be anything. The datum and the compliances have
-    slopes, and stay free: remainders of the torque would take the place of what is held. A runout shows by
-    its product with an eccentricity alone: beside none, what it explains is something else.
+    Near zero their slopes vanish, so a free displacement could take any value. The datum and the compliances
+    have slopes and stay free; if they were held, remainders of the torque would replace them. A runout shows
+    only by its product with an eccentricity: without one, it stands for something else.
 
     Parameters
     ----------
     free : Set
-        Settled. Where parameters are held it is settled anew, all of them free.
+        Settled. If it holds parameters, it is settled again with all of them free.
 
     Returns
     -------
@@ -115,7 +115,7 @@ def kept_parameters(free: Set) -> tuple[Set, Kept]:
         held = [*held, "runout"]
         best = _trial(free, held)
     bounds = _bounds(fit, chosen, [*undetermined, *held])
-    if bounds.keys() >= DISPLACEMENTS:  # beside none a runout is free to be anything
+    if bounds.keys() >= DISPLACEMENTS:  # without an eccentricity a runout can take any value
         bounds["runout"] = _bound(replace(best.fit, held=()), best.chosen, "runout")
     return best, Kept(bounds, (free,) if held else ())
 
@@ -126,7 +126,7 @@ def _configured(fit: LinearisedFit) -> Floats:
 
 
 def _away(fit: LinearisedFit, chosen: Chosen) -> tuple[Floats, Floats]:
-    """How far the parameters are from the configured ones, lobes swapped if that is nearer; covariance."""
+    """Parameters less the configured ones, of the nearest equivalent drive, and their covariance."""
     configured = _configured(fit)
     found, own = _fitted(fit, chosen), slice(configured.size)
     ways = (each - configured for each in alike(found, fit.data.configured))
@@ -136,28 +136,28 @@ def _away(fit: LinearisedFit, chosen: Chosen) -> tuple[Floats, Floats]:
 
 
 def _fitted(fit: LinearisedFit, chosen: Chosen) -> Floats:
-    """Parameters where a fit has them, shape (p,)."""
+    """Fitted parameters, shape (p,)."""
     return np.asarray(fit.parameters + fit.fit(chosen)[0][: fit.parameters.size])
 
 
 def _squared_displacement(away: Floats) -> float:
-    """How far from none the displacements are."""
+    """Sum of squares of the displacements."""
     return float(np.sum(displacements(away) ** 2))
 
 
 def _half_widths(spread: Floats) -> Floats:
-    """Of 95 % intervals, shape (p,)."""
+    """Half widths of 95 % intervals, shape (p,)."""
     return np.asarray(TWO_SIDED * np.sqrt(np.diag(spread)))
 
 
 def _certainty(away: Floats, spread: Floats, name: str) -> float:
-    """Square of standard deviations, by which a group is away."""
+    """Squared distance of a group from its configured values, in standard deviations."""
     numbers = list(GROUPS[name])
     return float(away[numbers] @ np.linalg.solve(spread[np.ix_(numbers, numbers)], away[numbers]))
 
 
 def _start(fit: LinearisedFit, names: list[str]) -> tuple[Floats, list[int]]:
-    """Parameters, lobes swapped if that is nearer, with groups as configured; the numbers of these."""
+    """Parameters of the nearest equivalent drive with groups as configured, and the groups' indices."""
     numbers = numbers_of(names)
     configured = _configured(fit)
     points = alike(fit.parameters, fit.data.configured)
@@ -167,7 +167,7 @@ def _start(fit: LinearisedFit, names: list[str]) -> tuple[Floats, list[int]]:
 
 
 def _trial(free: Set, names: list[str]) -> Set:
-    """The set with groups held, and with the remainders that grow in their place."""
+    """The set settled with groups held; remainders may grow in their place."""
     start, held = _start(free.fit, names)
     there = replace(free.fit.moved(start), held=tuple(held)).beside(free.fit.present)
     return replace(free, fit=there).valued().settled()
@@ -180,8 +180,9 @@ def _bounds(fit: LinearisedFit, chosen: Chosen, names: list[str]) -> dict[str, f
 def _bound(fit: LinearisedFit, chosen: Chosen, name: str) -> float:
     """How far off a group may be, at 95 %.
 
-    What a displacement adds grows with its square, so near none its slope says nothing: it is taken one unit
-    away. A tilt may have a slope beside it, as in a coned cup with an eccentricity: it is taken at the bound.
+    The effect of a displacement grows with its square, so its slope vanishes near zero. The slope is taken at
+    least one unit away. A tilt may have a linear part too, as in a coned cup with an eccentricity: its slope
+    is taken at the bound, by iteration.
     """
     away, spread = _away(fit, chosen)
     numbers = list(GROUPS[name])

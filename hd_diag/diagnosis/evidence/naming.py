@@ -1,4 +1,4 @@
-"""What is named: the probability of every cause of a set, and of all that may be in its place."""
+"""Which causes are named: probability of every cause of a set, and of the alternatives in its place."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ from hd_diag.formatting import ARCSEC, words
 
 @dataclass(frozen=True)
 class Standing:
-    """How sure a cause is.
+    """How certain a cause is.
 
     Attributes
     ----------
     values : dict
-        Log odds by name: with the cause, with others in its place, with none under the empty name.
+        Log odds by name: of the cause, of others in its place, and of none under the empty name.
     known : frozenset of str
-        Names of causes; the others are shapes that no cause is known of.
+        Names of known causes; other names are terms without a known cause.
     own, deviation : float
-        Rms of its part that parameters and other causes leave, and its deviation by noise [rad].
+        Rms of the part that it alone explains, and the standard deviation of this rms by noise [rad].
     foretold : bool
-        Whether blocks of the record foretell it in others.
+        Whether it predicts held-out blocks of the record.
     slow : float
-        Share of what it alone explains that is slower than a turn of the input.
+        Share of the square of its own part that is slower than a turn of the input.
     """
 
     values: Mapping[str, float]
@@ -59,22 +59,22 @@ class Standing:
 
     @property
     def alike(self) -> tuple[str, ...]:
-        """Its class: names that hold 99 % of the causes' probability together, the most probable first."""
+        """Its class: the fewest known causes with 99 % of their total probability, most probable first."""
         return self._class[0]
 
     @property
     def probability(self) -> float:
-        """That one of these is there."""
+        """Probability that one cause of the class is present."""
         return self._class[1]
 
     @property
     def chance(self) -> float:
-        """That none is: of the best set with none in the cause's place."""
+        """Probability of the best set with nothing in the cause's place."""
         return self._class[2]
 
     @property
     def doubt(self) -> str:
-        """The first reason for which the class is not named; empty where there is none."""
+        """The first reason not to name the class; empty if there is none."""
         if len(self.values) < 2:
             return "there was no time to weigh it"
         if self.probability < NAMED:
@@ -91,9 +91,9 @@ class Standing:
         return ""
 
     def beside(self, misfit: float) -> Standing:
-        """Where so many times the noise is left: evidence is overstated by the square of that.
+        """Standing if the residual is `misfit` times the noise. Log odds are divided by the misfit's square.
 
-        As deviations are by itself (Birge, Phys. Rev. 40, 1932).
+        The standard deviation is multiplied by the misfit (Birge, Phys. Rev. 40, 1932).
         """
         most = max(self.values.values())
         share = max(misfit, 1.0) ** -2.0
@@ -102,13 +102,13 @@ class Standing:
 
 
 def standings(found: Found) -> dict[str, Standing]:
-    """How sure every cause of the best set is, by name."""
+    """Standing of every cause of the best set, by name."""
     return {effect.name: _standing(found, (effect, nonlinear)) for effect, nonlinear in found.best.causes}
 
 
 def _standing(found: Found, item: Item) -> Standing:
     best, effect = found.best, item[0]
-    values = {**found.instead.get(effect.name, {}), effect.name: 0.0}  # of its forms the best
+    values = {**found.instead.get(effect.name, {}), effect.name: 0.0}  # the best of its forms
     if len(values) > 1:
         for name in effect.always_confused:
             values[name] = 0.0
@@ -122,9 +122,9 @@ def _standing(found: Found, item: Item) -> Standing:
 
 
 def _is_unproved(best: Set, name: str, odds: float, instead_of: Effect) -> bool:
-    """Whether the motion cannot show a cause for itself: then it may be there whatever fits better.
+    """Whether the motion cannot prove a cause. It may then be present even if another one fits better.
 
-    How many forms it may have speaks against none that this motion shows: they are alike here.
+    The prior odds of both causes are taken out. They count forms that this motion does not distinguish.
     """
     effect = next((one for one in best.fit.data.searched if one.name == name), None)
     if effect is None or best.fit.data.testable(effect)[0]:
@@ -133,9 +133,10 @@ def _is_unproved(best: Set, name: str, odds: float, instead_of: Effect) -> bool:
 
 
 def in_class(values: Mapping[str, float], known: Collection[str]) -> tuple[tuple[str, ...], float, float]:
-    """The fewest known causes that hold nearly all the weight of those known, their share, and that of none.
+    """Smallest class of known causes, its probability, and the probability of no cause.
 
-    `values` are log odds by name, that of no cause under the empty one. Of equal ones the first comes first.
+    The class holds nearly all the probability of the known causes. `values` are log odds by name, under the
+    empty name those of no cause. Causes with equal odds keep their order.
     """
     most = max(values.values())
     weight = {name: math.exp(value - most) for name, value in values.items()}
@@ -151,9 +152,10 @@ def in_class(values: Mapping[str, float], known: Collection[str]) -> tuple[tuple
 
 
 def own_part(fit: LinearisedFit, chosen: Chosen, others: Chosen, item: Item) -> tuple[float, float, float]:
-    """Rms of what parameters and other effects leave of a chosen effect's part, and its deviation [rad].
+    """Rms of the part that a chosen effect alone explains, its standard deviation [rad], and its slow share.
 
-    With them the share of its square that is in means over turns of the input, of those gone through.
+    Parameters and other effects cannot reproduce this part. The slow share is the share of its variance in
+    means over complete turns of the input.
     """
     rest = left_by(fit, chosen, others, item)
     own = float(np.std(rest))
@@ -164,7 +166,7 @@ def own_part(fit: LinearisedFit, chosen: Chosen, others: Chosen, item: Item) -> 
 
 
 def left_by(fit: LinearisedFit, chosen: Chosen, others: Chosen, item: Item) -> Floats:
-    """What parameters and other effects leave of a chosen effect's part (n,) [rad]."""
+    """A chosen effect's part (n,) [rad] less its fit by the parameters and other effects."""
     place = fit.places(chosen)[chosen.index(item)]
     part = fit.columns(*item) @ fit.fit(chosen)[0][place]
     fixed = np.concatenate((fit.always(), fit.joined(others)), axis=1)

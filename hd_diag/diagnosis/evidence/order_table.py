@@ -1,4 +1,4 @@
-"""Order table: waves that no cause explains, described well enough for a model to run with them."""
+"""Order table: waves without a known cause, described well enough for a model to run with them."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from hd_diag.effects.effect import Values
 from hd_diag.effects.quantity import turning
 from hd_diag.effects.remainders import LINES
 
-_SAME = 9.0  # deviance that a whole number may cost; half a step beside it must cost more
-_SEGMENTS = 4  # of a record of fewer runs, over which a phase is compared
-_KNOWN = 2.0  # standard deviations of a segment's wave from which its phase says something
-_STEADY = 0.8  # length of the mean of the segments' phases, 1 if all are the same
-_FEW_INPUT, _FEW_OUTPUT = 8, 4  # orders a turn of the gear itself, and of eccentric encoders
+_SAME = 9.0  # deviance that a whole number may cost; half a step away must cost more
+_SEGMENTS = 4  # segments to compare phases in, for a record with fewer runs
+_KNOWN = 2.0  # least size of a segment's wave for a usable phase, in standard deviations
+_STEADY = 0.8  # least length of the mean phase vector of the segments; 1 if all phases are equal
+_FEW_INPUT, _FEW_OUTPUT = 8, 4  # highest orders per turn of the gear; per output turn of eccentric encoders
 
 
 @dataclass(frozen=True)
@@ -35,15 +35,15 @@ class OrderRow:
     frame : str
         ``input`` or ``output``.
     nonlinear : tuple of float
-        Of `ORDER_LINE`: periods per turn of the input, and whether it grows with the torque.
+        Of `ORDER_LINE`: periods per turn of the input, and 1 if it grows with the torque, else 0.
     coefficients, covariance : ndarray, shape (2,), (2, 2)
         Of `ORDER_LINE` [rad].
     repeats : bool
-        Whether it has the same phase in all parts of the record: then a model can run with it.
+        Whether its phase is the same in all parts of the record, so that a model can run with it.
     might_be : tuple of str
         Causes of the catalogue that have such an order.
     is_function : bool
-        Whether the model has it as a function of torque already: a line that any gear has.
+        Whether the model already holds it as a function of torque: a line that any gear has.
     """
 
     order: float
@@ -62,22 +62,22 @@ class OrderRow:
 
     @property
     def amplitude(self) -> float:
-        """[rad]; at the rated torque where it grows with the torque."""
+        """Amplitude [rad], at the rated torque if the wave grows with the torque."""
         return float(np.hypot(*self.coefficients))
 
     @property
     def phase(self) -> float:
-        """Of the wave at input angle zero [rad]."""
+        """Phase of the wave at input angle zero [rad]."""
         return float(np.arctan2(self.coefficients[1], self.coefficients[0]) % (2.0 * np.pi))
 
 
 def order_table(rest: Remainder, waves: list[Wave], rated_torque: float) -> tuple[OrderRow, ...]:
-    """Rows for waves over the input's angle that are not of a part of the record alone.
+    """Rows for waves over the input angle, except waves found in a part of the record only.
 
     Parameters
     ----------
     rest : Remainder
-        With the waves in it.
+        Residual that contains the waves.
     waves : list of Wave
     rated_torque : float
         [N m]
@@ -85,7 +85,7 @@ def order_table(rest: Remainder, waves: list[Wave], rated_torque: float) -> tupl
     Returns
     -------
     tuple of OrderRow
-        Fitted together, whole numbers per turn of input or output recognised; the largest first.
+        Fitted together, largest first. Whole numbers per turn of input or output are recognised.
     """
     steady = [wave for wave in waves if wave.frame == "input" and not wave.weight.where]
     if not steady:
@@ -105,7 +105,7 @@ def order_table(rest: Remainder, waves: list[Wave], rated_torque: float) -> tupl
 def table_at(
     rest: Remainder, rows: Sequence[tuple[float, str, Values]], rated_torque: float
 ) -> tuple[OrderRow, ...]:
-    """Rows of given orders, fitted to a remainder.
+    """Rows of given orders, fitted to a residual.
 
     Parameters
     ----------
@@ -136,14 +136,14 @@ def table_at(
 
 
 def refitted_rows(rest: Remainder, rows: Sequence[OrderRow], rated_torque: float) -> tuple[OrderRow, ...]:
-    """Rows of a table fitted to another remainder; whether they repeat stays as where they were found."""
+    """Rows of a table fitted to another residual; `repeats` stays as it was found first."""
     repeats = {row.nonlinear: row.repeats for row in rows}
     found = table_at(rest, [(row.order, row.frame, row.nonlinear) for row in rows], rated_torque)
     return tuple(replace(row, repeats=repeats[row.nonlinear]) for row in found)
 
 
 def part(rows: tuple[OrderRow, ...], input_angle: Floats, torque: Floats, rated_torque: float) -> Floats:
-    """What rows that repeat add to the transmission error [rad], shape (n,)."""
+    """Transmission error of the rows that a model runs with [rad], shape (n,)."""
     total = np.zeros(input_angle.size)
     for row in rows:
         order, loaded = row.nonlinear
@@ -153,9 +153,9 @@ def part(rows: tuple[OrderRow, ...], input_angle: Floats, torque: Floats, rated_
 
 
 def _whole(rest: Remainder, wave: Wave, residual: Floats, whiten: Whitening) -> tuple[float, str, float]:
-    """Order and frame, in whole numbers where one fits as well and its neighbours do not; per input turn.
+    """Order, its frame, and the order per input turn; whole if that fits as well and its neighbours do not.
 
-    A whole number per turn of the input goes before one per turn of the output.
+    A whole number per turn of the input takes precedence over one per turn of the output.
     """
     target = whiten(residual, rest.run)
 
@@ -174,7 +174,7 @@ def _whole(rest: Remainder, wave: Wave, residual: Floats, whiten: Whitening) -> 
 
 
 def _segments(run: Integers) -> list[slice]:
-    """Runs, or stretches of a record that has fewer."""
+    """Runs, or `_SEGMENTS` equal stretches if the record has fewer runs."""
     edges = bounds(run)
     if len(edges) < _SEGMENTS:
         cuts = np.linspace(0, run.size, _SEGMENTS + 1).astype(int).tolist()
@@ -183,7 +183,7 @@ def _segments(run: Integers) -> list[slice]:
 
 
 def _steady(white: Floats, target: Floats, beta: Floats, segments: list[slice]) -> list[bool]:
-    """Whether each wave has the same phase in the segments that show it, two at least."""
+    """Whether each wave has the same phase in the segments that show it; at least two must."""
     whole = beta[::2] + 1j * beta[1::2]
     total, length = np.zeros(whole.size, complex), np.zeros(whole.size)
     count = np.zeros(whole.size, int)
@@ -195,7 +195,7 @@ def _steady(white: Floats, target: Floats, beta: Floats, segments: list[slice]) 
             gram = own.T @ own
             if np.linalg.cond(gram) > 1e3 * 1.0 or not gram.any():
                 continue
-            # Beside the other waves at their size in the whole record.
+            # The other waves keep their size in the whole record.
             pair = beta[2 * index : 2 * index + 2] + np.linalg.solve(gram, own.T @ rest[segment])
             here = complex(*pair)
             if np.sqrt(pair @ gram @ pair) < _KNOWN:

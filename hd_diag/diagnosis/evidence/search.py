@@ -23,35 +23,35 @@ from hd_diag.diagnosis.work import Work
 from hd_diag.effects.effect import Effect, Stage
 from hd_diag.effects.remainders import ORDERS, PLACE
 
-_MOST, _TURNS = 5, 12  # causes; turns of a search
-_RIVALS = 6  # of each cause, that are settled in its place
-_TRIED = 4  # candidates that are settled in each turn
-_POLISHED = 2  # of these, at most
-_AGAIN = 2  # times that some are: the next best where none of the best is foretold
-_HOPEFUL = 2.0  # log odds that a candidate may lack where the fit stands: steps of the parameters bring more
-_OF_MODEL = ("torsional_hardening",)  # the torsion's own shape
-_ZERO, _TURNED = "torque_offset", 0.01  # share of the torques that another zero must put on the other flank
+_MOST, _TURNS = 5, 12  # most causes in a set; most turns of a search
+_RIVALS = 6  # alternatives fitted in place of each cause
+_TRIED = 4  # candidates settled in each batch
+_POLISHED = 2  # settled candidates of a batch that are polished, at most
+_AGAIN = 2  # batches in each turn: the second follows if no candidate of the first holds
+_HOPEFUL = 2.0  # log odds that a candidate may lack before settling, which adds to them
+_OF_MODEL = ("torsional_hardening",)  # the shape of the torsion is no cause
+_ZERO, _TURNED = "torque_offset", 0.01  # least share of torques that another zero moves to the other flank
 _BY_TORQUE = ("friction", "torsion")
-_HOPELESS = 100.0  # log odds, beyond which another minimum is not followed
-_CLOSE = 10.0  # log odds, within which a set is settled before it is judged
-_NEARLY = 5.0  # the same, within which its nonlinear values are settled as well
+_HOPELESS = 100.0  # log odds below the best from which another minimum is dropped
+_CLOSE = 10.0  # log odds within which a set is settled before it is compared
+_NEARLY = 5.0  # log odds within which its nonlinear values are polished as well
 _DATUM_STEPS = (2.0, 4.0, 8.0, 16.0)  # to either side, in units of the parameters
-_PLAINLY = 25.0  # log odds on some rows, from which a cause holds on all
+_PLAINLY = 25.0  # log odds on some rows that make a test on all rows unnecessary
 _TO_MINIMUM = 5  # rounds of settling
-_FIRST, _TURN = 0.15, 0.6  # of the time, that is gone before; of what is left of the search, after each turn
-RESTARTS = 1  # times that the parameters are searched for again, beside the causes by then
+_FIRST, _TURN = 0.15, 0.6  # share of the time before the search; share of a half that a turn leaves
+RESTARTS = 1  # times that other minima are tried with the causes found so far
 
 
 SEARCHED = 0.6
-"""Share of the time that a diagnosis may take, by which the search must end."""
+"""Share of a diagnosis's time limit by which the search must end."""
 
 FURTHER_CAUSES = "looking for further causes"
 DATUM_REACH = "how far the datum may be off"
-"""What is left out where it has no more time."""
+"""Names of the two parts that a search skips when its time is up."""
 
 
 class Candidate(NamedTuple):
-    """A cause at a point of its grid, and what it would bring where the fit stands [log odds]."""
+    """A cause at one grid point, its gain before settling [log odds], and all prior widths with it."""
 
     name: str
     item: Item
@@ -60,9 +60,10 @@ class Candidate(NamedTuple):
 
 
 def competes(fit: LinearisedFit, effect: Effect) -> bool:
-    """Whether an effect can be judged: what acts under a torque that was not measured cannot.
+    """Whether an effect can be judged. Effects that act through the torque need a measured torque.
 
-    What the record cannot prove competes all the same: else the nearest of what it can would be named for it.
+    Effects that the motion cannot prove compete as well if the torque is measured and they have a stage.
+    Otherwise we would name a lookalike.
     """
     known = fit.data.source.has_torque
     if fit.data.testable(effect)[0]:
@@ -73,24 +74,25 @@ def competes(fit: LinearisedFit, effect: Effect) -> bool:
 def is_searched(fit: LinearisedFit, effect: Effect) -> bool:
     """Whether a record can be searched for a cause.
 
-    By a motor's current what acts as torque is the motor's own. Parameters and the torsion's shape are none.
+    If the torque is computed from motor current, effects that act as torque belong to the motor and are not
+    searched for. Model parameters and the shape of the torsion are not causes.
     """
     of_motor = effect.kind in _BY_TORQUE or effect.stage == Stage.TORQUE
     return competes(fit, effect) and effect.name not in _OF_MODEL and not (fit.data.given and of_motor)
 
 
 def searched(fit: LinearisedFit) -> list[Effect]:
-    """Causes and shapes of no known cause that a record can be searched for."""
+    """Causes, and terms without a known cause, that a record can be searched for."""
     causes = [effect for effect in fit.data.searched if is_searched(fit, effect)]
     return [*causes, *(term for term in UNMODELLED_TERMS if fit.data.testable(term)[0])]
 
 
 def candidates(at: Set) -> list[Candidate]:
-    """Every cause that is not in a set, at its best grid point beside it; the best first."""
+    """All causes outside a set, each at its best grid point given the set; highest gain first."""
     fit, chosen = at.fit, at.chosen
     rest = fit.remainder(chosen)
     points: dict[str, tuple[Effect, tuple[float, ...]]] = {}
-    lines = [line.name for line in OUTPUT_LINES if line.name not in at.names][1:]  # alike: the first will do
+    lines = [line.name for line in OUTPUT_LINES if line.name not in at.names][1:]  # alike: one is enough
     for effect in searched(fit):
         if effect.name in at.names or effect.name in lines:
             continue
@@ -112,9 +114,9 @@ def candidates(at: Set) -> list[Candidate]:
 
 
 def _smaller(at: Set) -> list[dict[str, float]]:
-    """Widths of a set, and with remainders that have grown back at their usual size: one, or all of them.
+    """Widths of a set: as tuned, and with one or all of the grown remainders back at their usual size.
 
-    A remainder that has grown hides the cause that it grew for.
+    A grown remainder hides the cause that it grew for.
     """
     grown = [effect.name for effect, _ in at.remainders.items if at.widths[effect.name] > 1.0]
     every = [dict(at.widths), *({**at.widths, name: 1.0} for name in grown)]
@@ -122,10 +124,10 @@ def _smaller(at: Set) -> list[dict[str, float]]:
 
 
 def begun(fit: LinearisedFit) -> Set:
-    """The set without causes where a fit stands, settled."""
+    """The set without causes, settled from a fit; the best of its minima."""
     drive = fit.data.configured
     slope = np.abs(fit.data.model.at(fit_parameters.vector(drive, drive)).signals.predicted_torque_slope)
-    finite = slope[np.isfinite(slope)]  # it is without end in the gap between the flanks
+    finite = slope[np.isfinite(slope)]  # infinite in the gap between the flanks
     compliance = float(np.median(finite)) if finite.size else 0.0
     start = Set(fit, Remainders.of(fit.data.source, drive, compliance), (), fit.data.given)
     first = start.valued().settled().polished(_TO_MINIMUM)
@@ -133,7 +135,7 @@ def begun(fit: LinearisedFit) -> Set:
 
 
 def _by_no_motor(at: Set) -> list[Set]:
-    """The same from where a motor takes nothing of its current: what it takes has several minima."""
+    """The same set settled from zero motor torque: the fit of the motor's own torque has several minima."""
     points = [(effect, nonlinear) for effect, _ in at.motor for nonlinear in effect.grid]
     nothing = [(one, np.zeros(one[0].size)) for one in points]
     starts = [replace(at, fit=at.fit.beside((one,)), motor=(one[0],), widths={}) for one in nothing]
@@ -145,18 +147,18 @@ Instead = dict[str, dict[str, float]]
 
 @dataclass(frozen=True)
 class Found:
-    """The best set of causes, and what else was weighed against it.
+    """The best set of causes, and the alternatives it was compared with.
 
     Attributes
     ----------
     best : Set
     rivals : tuple of Set
-        The same causes at other minima of the parameters that are nearly as good.
+        The same causes at other minima of the parameters that are nearly as likely.
     instead : dict
-        Of each cause by name: log odds of sets with another in its place, by that one's name; with none in
-        its place, by the empty name.
+        For each cause by name: log odds of the sets with another cause in its place, by the name of that
+        cause. The empty name stands for the set with none in its place.
     datum_reach : float
-        Half the 95 % interval of the datum, by the likelihood along it, in units of the parameters.
+        Half the 95 % interval of the datum by its profile likelihood, in units of the parameters.
     """
 
     best: Set
@@ -166,7 +168,7 @@ class Found:
 
     @property
     def ambiguous(self) -> bool:
-        """Whether a rival is displaced otherwise; that its teeth or its datum are others makes a ± longer."""
+        """Whether a rival has other displacements. Another datum or compliance only lengthens a ±."""
         count = self.best.fit.parameters.size
         displaced = [number for number in range(count) if number not in (DATUM, COMPLIANCE, CUP)]
         return any(_is_beyond_valley(self.best, rival, displaced) for rival in self.rivals)
@@ -175,20 +177,20 @@ class Found:
 def search(
     starts: list[LinearisedFit], every: LinearisedFit, rng: np.random.Generator, torque_zero: float = 0.0
 ) -> Found:
-    """The best set of causes, and what other minima of the parameters make of it.
+    """The best set of causes, and its rivals at other minima of the parameters.
 
     Parameters
     ----------
     starts : list of LinearisedFit
-        At minima of the parameters, on some rows: there causes are looked for. One may hold displacements as
-        configured: a free one costs what the record tells of it, even where it does nothing.
+        At minima of the parameters, on some rows. The search for causes begins here. One fit may hold
+        displacements as configured: a free displacement costs evidence even if it changes nothing.
     every : LinearisedFit
-        On all rows: there what was found is weighed, and what is small is looked for.
+        On all rows. The causes found are weighed here, and small causes are searched for.
     rng : numpy.random.Generator
-        Chooses the samples of other starts.
+        Draws the samples of a restart.
     torque_zero : float
-        The torque's zero by a fit from many starts [N m]: one that puts many torques on the other flank is
-        out of reach of steps from the reported torque.
+        The torque's zero by a fit from many starts [N m]. If it puts many torques on the other flank, steps
+        from the reported torque cannot reach it.
     """
     work = every.work
     first = begun(starts[0].with_noise(starts[0].data.given))
@@ -223,7 +225,7 @@ def search(
     if minima[0] is not scanned:
         minima[0], reach = _along_datum_in_time(minima[0], rows)
     best, known = minima[0].moved_to(every).settled(_TO_MINIMUM).polished(), _plain(instead)
-    if best.fit.held:  # all rows may show a displacement that some do not
+    if best.fit.held:  # all rows may show a displacement that some rows do not
         best = max(best, best.at(starts[0].parameters).settled(_TO_MINIMUM), key=lambda one: one.value)
     instead = known
     with work.until(SEARCHED, FURTHER_CAUSES):
@@ -239,24 +241,25 @@ def search(
 
 
 def _tell(work: Work, half: float, turn: int, text: str) -> None:
-    """How far one half of a search is: each turn takes most of what is left."""
+    """Report the progress of one half of a search: each turn adds 40 % of the part that remains."""
     share = half + 0.5 * (1.0 - _TURN**turn)
     work.tell(_FIRST + (SEARCHED - _FIRST) * share, text)
 
 
 def _better(now: Set, known: Instead) -> tuple[Set | None, Instead]:
-    """A set with one cause more, or another in the place of one; None where none is better.
+    """A better set, with one cause added, replaced or removed, or None; and the odds of the alternatives.
 
-    Of some causes it may be `known` that nothing is.
+    Causes in `known` are not weighed again: their alternatives are known to be worse.
     """
     found = _next(now) if len(now.causes) < _MOST else None
     return (_fewer(found), known) if found is not None else _exchanged(now, known)
 
 
 def _gain(one: Set, now: Set) -> float:
-    """What a set has more than another, no more than by the noise learned beside it [log odds].
+    """Gain of a set over another [log odds], at most the gain with the noise learned given this set.
 
-    By one noise alone each of two may give way to the other. A set that is not sensible has nothing more.
+    With one noise alone, two sets could replace each other in turn. The gain of a set that is not sensible
+    is minus infinity.
     """
     gain = one.value - now.value
     if gain <= 0.0:
@@ -266,28 +269,28 @@ def _gain(one: Set, now: Set) -> float:
 
 
 def _plain(instead: Instead) -> Instead:
-    """Those of causes which hold so plainly on some rows that all rows need not be asked."""
+    """Alternatives of the causes that hold so clearly on some rows that all rows need no test."""
     return {name: odds for name, odds in instead.items() if max(odds.values()) < -_PLAINLY}
 
 
 def _on_rows(one: Set, rows: int) -> float:
-    """Log evidence that a set may have on so many rows, if they tell as much as those that it is on.
+    """Log evidence expected of a set on so many rows, if they are as informative as its own rows.
 
-    A minimum that costs parameters may be worth them on all rows, and not on some.
+    A minimum with more free parameters may pay on all rows, though it does not pay on some.
     """
     more = rows / one.fit.data.at.size - 1.0
     return one.value - 0.5 * TEMPER * more * one.fit.deviance(one.chosen)
 
 
 def _sorted(minima: list[Set], rows: int) -> list[Set]:
-    """By what they may be on so many rows, the best first."""
+    """Sets by their log evidence expected on so many rows, the highest first."""
     return sorted(minima, key=lambda one: -_on_rows(one, rows))
 
 
 def _rivals(minima: list[Set], best: Set, rows: int) -> tuple[Set, ...]:
     """The best set at other minima of the parameters, where it is nearly as likely.
 
-    Of the minima on some rows those are tried that are near there, on all rows.
+    Minima that are nearly as likely on some rows are tried on all rows.
     """
     first, *others = minima
     least = math.log(1.0 - NAMED)
@@ -299,7 +302,7 @@ def _rivals(minima: list[Set], best: Set, rows: int) -> tuple[Set, ...]:
 
 
 def _beside_rivals(instead: Instead, best: Set, rivals: Sequence[Set]) -> Instead:
-    """The same, where none in a cause's place may be as likely with the parameters of a rival."""
+    """The same odds, but the odds of no cause are the highest over the best set and its rivals."""
     found = dict(instead)
     for name in instead.keys() & best.names:
         odds = [one.without(name).settled().value - best.value for one in rivals]
@@ -308,9 +311,9 @@ def _beside_rivals(instead: Instead, best: Set, rivals: Sequence[Set]) -> Instea
 
 
 def _is_beyond_valley(best: Set, other: Set, own: Sequence[int] | None = None) -> bool:
-    """Whether another minimum is no place in the valley that the best one's covariance tells of.
+    """Whether another minimum lies outside the valley that the best set's covariance describes.
 
-    By some parameters alone, all where their numbers are not given.
+    Compares the parameters with indices `own`, by default all of them.
     """
     fit = best.fit
     numbers = list(range(fit.parameters.size) if own is None else own)
@@ -320,7 +323,7 @@ def _is_beyond_valley(best: Set, other: Set, own: Sequence[int] | None = None) -
 
 
 def _with_torque_zero(at: Set, zero: float) -> Set | None:
-    """With an offset of the torque as large as a zero, clear of both; None where few change flanks."""
+    """The set with a torque offset of `zero`, on rows clear of both zeros; None if few change flanks."""
     torque = at.fit.data.record.torque
     effect = next((one for one in searched(at.fit) if one.name == _ZERO), None)
     if effect is None or np.mean((torque > 0.0) != (torque + zero > 0.0)) < _TURNED:
@@ -332,8 +335,8 @@ def _with_torque_zero(at: Set, zero: float) -> Set | None:
 
 
 def _exchanged(now: Set, known: Instead) -> tuple[Set | None, Instead]:
-    """A better set with another cause in the place of one, if there is any; and what was weighed for each."""
-    instead, senseless = Instead(), now.senseless  # by the noise learned beside it
+    """A better set with one cause replaced or removed, or None; and the odds of each cause's alternatives."""
+    instead, senseless = Instead(), now.senseless  # with the noise learned given the set
     for effect, nonlinear in now.causes:
         if effect.name in known:
             instead[effect.name] = known[effect.name]
@@ -342,12 +345,12 @@ def _exchanged(now: Set, known: Instead) -> tuple[Set | None, Instead]:
         trials, itself = [without], _kind((effect, nonlinear))
         if now.before is not None and now.before.names == without.names:
             trials.append(now.before.on(now))  # the others may have moved to make room for it
-        # Else what polishing brings any set would count for the cause.
+        # Otherwise the gain of polishing, which any set has, would count for the cause.
         trials = [one.polished() if one.value > now.value - _CLOSE else one for one in trials]
-        # What is alike on any record is weighed by its name alone.
+        # Effects that no record can distinguish share the cause's odds by name, see `naming`.
         ranked = [one for one in candidates(without) if one.name not in effect.always_confused]
         own = max((one.gain for one in ranked if one.name == effect.name), default=math.inf)
-        # What settling brings more, it brings the cause itself as well; none is better than what has no hope.
+        # Settling adds to an alternative and to the cause alike, so both gains are before settling.
         least = max(min(now.value - without.value, own) - _CLOSE, -_HOPEFUL)
         for one in ranked[:_RIVALS]:
             if _kind(one.item) != itself and one.gain > least:
@@ -369,14 +372,14 @@ def _exchanged(now: Set, known: Instead) -> tuple[Set | None, Instead]:
 
 
 def _kind(item: Item) -> tuple[str, tuple[float, ...]]:
-    """A cause's name and the discrete ones of its nonlinear values: which tooth, which form."""
+    """A cause's name and its discrete nonlinear values: which tooth, which form."""
     effect, nonlinear = item
     pairs = zip(effect.nonlinear, nonlinear, strict=True)
     return effect.name, tuple(value for quantity, value in pairs if quantity.discrete)
 
 
 def _along_datum_in_time(best: Set, rows: int) -> tuple[Set, float]:
-    """As `_along_datum`; where there is no time for it the same set, and the farthest that is looked at."""
+    """As `_along_datum`; if its time is up, the same set and the largest step."""
     found = best, _DATUM_STEPS[-1]
     with best.fit.work.until(SEARCHED, DATUM_REACH):
         found = _along_datum(best, rows)
@@ -384,10 +387,10 @@ def _along_datum_in_time(best: Set, rows: int) -> tuple[Set, float]:
 
 
 def _along_datum(best: Set, rows: int) -> tuple[Set, float]:
-    """The best set with any datum, and how far the datum reaches at 95 % by so many rows as there are in all.
+    """The best set over a scan of the datum, and half the datum's 95 % interval for `rows` rows.
 
-    A torsion of another shape imitates its step at the zero of the torque, of which no slope tells: so it is
-    held at values to either side, all else settled there (a profile likelihood).
+    The datum makes a step at zero torque. Torsion of another shape can imitate it, which no slope shows. So
+    the datum is held at values to either side and all else is settled there (a profile likelihood).
     """
     better, reach, times = best, 0.0, rows / best.fit.data.at.size
     for side in (1.0, -1.0):
@@ -401,12 +404,12 @@ def _along_datum(best: Set, rows: int) -> tuple[Set, float]:
             fit = settle(held, best.chosen, 1, learn=False)
             worse = times * (fit.deviance(best.chosen) - best.fit.deviance(best.chosen))
             if not known:
-                known = worse > TWO_SIDED**2  # it grows with the square
+                known = worse > TWO_SIDED**2  # the deviance grows with the square of the step
                 share = math.sqrt(max(TWO_SIDED**2 - before[1], 0.0) / (worse - before[1])) if known else 1.0
                 reach = max(reach, before[0] + share * (away - before[0]))
             if worse > times * _HOPELESS:
                 break
-            # Where it gets better again there is another minimum: at the least of the fall.
+            # If the deviance falls again there is another minimum: start from its lowest value.
             if worse < before[1]:
                 falling = fit
             elif falling is not None:
@@ -418,13 +421,13 @@ def _along_datum(best: Set, rows: int) -> tuple[Set, float]:
 
 
 def _freed(better: Set, best: Set, held: LinearisedFit) -> Set:
-    """The better of a set and of another, settled from where its datum was held."""
+    """The better of two sets: `better`, or `best` settled from a fit whose datum was held."""
     free = replace(best, fit=replace(held, held=best.fit.held)).settled()
     return free if free.value > better.value and free.sensible else better
 
 
 def _at_minima(found: Set, others: list[Set], rng: np.random.Generator) -> list[Set]:
-    """The same causes from other minima of the parameters, and from a global search."""
+    """A set, and the same causes settled from other minima of the parameters and from a global search."""
     own = found.fit.data.configured
     points = [found.fit.parameters]
     sets = [found]
@@ -440,7 +443,7 @@ def _at_minima(found: Set, others: list[Set], rng: np.random.Generator) -> list[
 
 
 def _next(now: Set) -> Set | None:
-    """The set with one cause more, settled; None where none is worth its cost and foretold."""
+    """The set with one more cause, settled; None if none is worth its cost and predicts held-out blocks."""
     ranked = [one for one in candidates(now) if one.gain > -_HOPEFUL]
     for _ in range(_AGAIN):
         if not ranked:
@@ -453,16 +456,16 @@ def _next(now: Set) -> Set | None:
 
 
 def _best_of(near: Sequence[Candidate], now: Set) -> Set | None:
-    """The best set with one of some candidates more; None where none is better than without."""
+    """The best set with one of some candidates added; None if no candidate improves the set."""
     before = replace(now, before=None)
     there = [(one.name, replace(now.beside(one.item, one.widths), before=before)) for one in near]
-    # What blocks do not foretell where the fit stands, they do a step away only with other nonlinear values.
+    # If held-out blocks are not predicted before settling, only other nonlinear values can change this.
     settled = [(name, one.settled()) for name, one in there if one.may_foretell(name)]
     trials = [(name, one) for name, one in settled if one.sensible and one.may_foretell(name)]
     trials.sort(key=lambda pair: -pair[1].value)
     best = max([now.value, *(one.value for _, one in trials)])
     polished = [(name, one.polished()) for name, one in trials[:_POLISHED] if one.value > best - _NEARLY]
-    # Polished, a cause may fit what blocks do not foretell: then it stays as it was.
+    # A polished cause may no longer predict held-out blocks: then the settled one is used.
     better = [(name, one) for name, one in (*polished, *trials) if one.sensible and one.value > now.value]
     better.sort(key=lambda pair: -pair[1].value)
     foretold = (one for name, one in better if one.foretells(name))
@@ -470,9 +473,9 @@ def _best_of(near: Sequence[Candidate], now: Set) -> Set | None:
 
 
 def _may_be_elsewhere(at: Set) -> bool:
-    """Whether another minimum may do better: one of a displacement that a line stands for, or in a misfit.
+    """Whether another minimum may be better: a line stands in for a displacement, or there is a misfit.
 
-    Where columns that any cause may look like explain no more than noise gives them, no other minimum can.
+    There is no misfit if columns that imitate any cause explain no more than noise lets them.
     """
     if any(at.widths[effect.name] > 1.0 for effect in (*ORDERS, PLACE)):
         return True
@@ -481,7 +484,7 @@ def _may_be_elsewhere(at: Set) -> bool:
 
 
 def restarted(at: Set, rng: np.random.Generator) -> Floats:
-    """Parameters (p,) that a global search leads to, the causes of a set taking part freely."""
+    """Parameters (p,) from a global search in which the causes of a set are free columns."""
     fit, own = at.fit, at.fit.data
     extra = fit.joined(at.causes)
     more = fit.effects.torque(fit.sized(at.chosen, fit.fit(at.chosen)[0]))[own.at]
@@ -490,7 +493,7 @@ def restarted(at: Set, rng: np.random.Generator) -> Floats:
 
 
 def _fewer(at: Set) -> Set:
-    """Without causes that cost more than they bring beside the others."""
+    """The set without causes that cost more than they gain given the others; the last cause stays."""
     evidence = at.evidence()
     for effect, _ in at.causes[:-1]:
         rest = {name: width for name, width in at.widths.items() if name != effect.name}

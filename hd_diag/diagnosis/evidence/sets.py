@@ -1,4 +1,4 @@
-"""Sets of causes beside the remainders of any joint, settled in a fit, with their evidence."""
+"""Sets of causes fitted together with the remainders of any joint, and their evidence."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from hd_diag.effects.remainders import LOOP, ORDERS, PLACE, SPEED, TIME, TORQUE,
 
 Widths = Mapping[str, float]
 
-_WANDERING = 0.3  # of a cause's usual size, that its size may wander by
+_WANDERING = 0.3  # prior width of the wandering, relative to a cause's usual size
 
 
 @dataclass(frozen=True)
 class Remainders:
-    """What is usual of every remainder in a record: the effects at their usual size and range."""
+    """Every remainder of a record, each with its usual size and its range."""
 
     items: Chosen
 
     @staticmethod
     def of(record: Record, drive: Drive, compliance: float) -> Remainders:
-        """For a record, beside a drive of some mean compliance [rad/(N m)]."""
+        """Remainders for a record of a drive with some mean compliance [rad/(N m)]."""
         forward = np.sign(drive.kinematics.ratio) * record.speed
         usual: dict[Remainder, tuple[float, tuple[float, float]]] = {
             TORQUE: (calibration.USUAL_TORSION * compliance, _range(record.torque)),
@@ -49,7 +49,7 @@ class Remainders:
         return Remainders(tuple((effect, (size, *ends)) for effect, (size, ends) in usual.items()))
 
     def at(self, widths: Widths) -> Chosen:
-        """The same at sizes of so many times the usual one."""
+        """The remainders at sizes of `widths` times the usual ones."""
         return tuple((effect, (widths[effect.name] * size, *ends)) for effect, (size, *ends) in self.items)
 
 
@@ -59,24 +59,24 @@ def _range(values: Floats) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Set:
-    """Causes beside remainders, settled.
+    """Causes and remainders, fitted together.
 
     Attributes
     ----------
     fit : LinearisedFit
-        At the parameters and sizes that fit.
+        Linearised at the fitted parameters and sizes.
     remainders : Remainders
     causes : tuple of (Effect, nonlinear values)
     motor : tuple of (Effect, nonlinear values)
-        What a motor takes of its current.
+        Effects of the motor on a torque computed from its current.
     widths : dict
-        Prior widths over the usual size, of remainders and causes by name.
+        Prior widths relative to the usual size, of remainders and causes by name.
     value : float
-        Log evidence with the priors of presence.
+        Log evidence, including the prior odds of presence.
     rounds : int
-        Of settling, at most.
+        Most rounds of settling.
     before : Set, optional
-        To which its last cause was added.
+        The set before its last cause was added.
     """
 
     fit: LinearisedFit
@@ -90,29 +90,29 @@ class Set:
 
     @property
     def given(self) -> Chosen:
-        """What is no cause: what a motor takes of its current, and remainders."""
+        """Effects that are no causes: those of the motor, and remainders."""
         return (*self.motor, *self.remainders.at(self._widths))
 
     @property
     def chosen(self) -> Chosen:
-        """All that is fitted beside the model's parameters."""
+        """All effects fitted in addition to the model's parameters."""
         return (*self.given, *self.causes)
 
     @property
     def _widths(self) -> Widths:
-        """Of all remainders and causes, as usual where they are not tuned yet."""
+        """Prior widths of all remainders and causes, 1 where they are not tuned yet."""
         every = (*self.remainders.items, *self.causes)
         return {effect.name: self.widths.get(effect.name, 1.0) for effect, _ in every}
 
     @property
     def names(self) -> frozenset[str]:
-        """Of the causes."""
+        """Names of the causes."""
         return frozenset(effect.name for effect, _ in self.causes)
 
     def evidence(self, candidates: Iterable[tuple[str, Item]] = ()) -> Evidence:
-        """Of the set and of candidates, by names; the set's are the effects'.
+        """Evidence of the set and of candidates by name; groups of the set have their effects' names.
 
-        What a parameter on its bound would explain beyond it counts for no set.
+        Parameters on a bound are fixed there: no set is credited with what they would explain beyond it.
         """
         fit, chosen, fixed, widths = self.fit, self.chosen, len(self.motor), self._widths
         built = fit.design(chosen)
@@ -131,23 +131,26 @@ class Set:
         return found.beside(columns, target, apart)
 
     def valued(self) -> Set:
-        """With the best widths and the evidence where the fit stands."""
+        """The set with tuned prior widths, and its evidence at the current linearisation."""
         log, widths = self.evidence().tuned(self._widths)
         return replace(self, widths=widths, value=log + self.presence)
 
     @property
     def presence(self) -> float:
-        """Prior log odds of the causes, each at one of so many grid points."""
+        """Prior log odds of the causes, each at one of its grid points."""
         return sum(presence(self.fit, effect) for effect, _ in self.causes)
 
     def settled(self, rounds: int = 0) -> Set:
-        """Moved to the best parameters and sizes, widths tuned there."""
+        """The set at the best parameters and sizes, with prior widths tuned there."""
         chosen = self.chosen
         fit = settle(self.fit.corrected(chosen), chosen, rounds or self.rounds, learn=False)
         return replace(self, fit=fit).valued()
 
     def polished(self, rounds: int = 2) -> Set:
-        """Moved to the best nonlinear values of motor and causes, parameters and sizes with them."""
+        """The set with the best nonlinear values of motor and causes, parameters and sizes refitted.
+
+        It stays as it is if this does not raise the evidence, or if another cause becomes senseless.
+        """
         if not any(free(effect) for effect, _ in (*self.motor, *self.causes)):
             return self
         fit, chosen = polished(self.fit, self.chosen, rounds)
@@ -156,14 +159,14 @@ class Set:
         return better if better.value > self.value and better.senseless <= self.senseless else self
 
     def may_foretell(self, name: str) -> bool:
-        """Whether a cause holds in blocks, or may with other nonlinear values."""
+        """Whether a cause predicts held-out blocks, or may do so with other nonlinear values."""
         return any(free(effect) for effect, _ in self.causes if effect.name == name) or self.foretells(name)
 
     def foretells(self, name: str) -> bool:
-        """Whether a cause holds in blocks of the record that others foretell: evidence believes the model.
+        """Whether a cause predicts held-out blocks of the record. Evidence alone trusts the model.
 
-        What remainders and parameters would have to grow for it counts in all blocks alike. What wanders
-        cannot be foretold.
+        Without the cause, remainders and parameters move from their prior: this cost is shared equally by
+        all blocks. A cause that wanders cannot be predicted, so it passes.
         """
         item = next(one for one in self.causes if one[0].name == name)
         if item[0].wanders(item[1]):
@@ -179,13 +182,13 @@ class Set:
 
     @cached_property
     def relearned(self) -> Set:
-        """With noise learned beside it, valued anew: the evidence of other noise is not comparable."""
+        """The set with noise learned given it, and its evidence: that of other noise is not comparable."""
         before = self.fit.whiten
         whiten = replace(self.fit.with_noise(self.chosen).whiten, slow=before.slow, kept=before.kept)
         return replace(self, fit=replace(self.fit, whiten=whiten).corrected(self.chosen)).valued()._slowed()
 
     def _slowed(self) -> Set:
-        """With the slow noise beside which the record is most likely: steps of its size and of its memory."""
+        """The set with the most likely slow noise, by steps of the noise's size and memory."""
         kept = np.exp(-usual_step(self.fit.data.record.time) / np.array(calibration.SLOW_FOR)).tolist()
         now = self.fit.whiten
         size, memory = (
@@ -194,7 +197,7 @@ class Set:
         )
         best, value = self, self._likelihood
         for size_step, memory_step in ((0, -1), (0, 1), (1, 0), (-1, 0), (0, -1), (0, 1)):
-            while size or size_step:  # without slow noise its memory changes nothing
+            while size or size_step:  # at size zero the memory has no effect
                 there = size + size_step, memory + memory_step
                 if not (0 <= there[0] < len(calibration.SLOW) and 0 <= there[1] < len(kept)):
                     break
@@ -207,59 +210,62 @@ class Set:
 
     @property
     def _likelihood(self) -> float:
-        """Log evidence that can be compared with that beside other slow noise, or none."""
+        """Log evidence that is comparable between sets with different slow noise, or none."""
         whiten = self.fit.whiten
         present = calibration.SLOW_NOISE if whiten.slow else 0.0
         return self.value + present - calibration.TEMPER * whiten.logarithm(self.fit.data.run)
 
     def beside(self, item: Item, widths: Widths) -> Set:
-        """With one cause more, at the size that fits with some widths; not settled."""
+        """The set with one more cause, at its fitted size given some prior widths; not settled."""
         more = replace(self, causes=(*self.causes, item), widths=widths)
         return replace(more, fit=more.fit.corrected(more.chosen))
 
     def without(self, name: str) -> Set:
-        """Without one cause; not settled."""
+        """The set without one cause; not settled."""
         causes = tuple(item for item in self.causes if item[0].name != name)
         widths = {one: width for one, width in self.widths.items() if one != name}
         fewer = replace(self, causes=causes, widths=widths)
         return replace(fewer, fit=fewer.fit.corrected(fewer.chosen))
 
     def clear(self) -> Set:
-        """On rows where no torque that its causes leave may be near zero; valued anew if these are fewer."""
+        """The set on rows where no possible torque is near zero; its evidence is updated if rows drop out.
+
+        See :meth:`PresentEffects.possible_torques`.
+        """
         sized = self.fit.sized(self.chosen, self.fit.fit(self.chosen)[0])
         fit = self.fit.clear_of(self.fit.effects.possible_torques(sized))
         return self if fit is self.fit else replace(self, fit=fit.beside(sized)).valued()
 
     def on(self, other: Set) -> Set:
-        """On the rows and with the noise of another set."""
+        """The set on the rows and with the noise of another set."""
         fit = replace(self.fit, data=other.fit.data, whiten=other.fit.whiten)
         return replace(self, fit=fit.beside(self.fit.present)).valued()
 
     def moved_to(self, fit: LinearisedFit) -> Set:
-        """On other rows of the record, with the noise that is known."""
+        """The set on other rows of the record, with the same noise."""
         there = replace(fit, whiten=self.fit.whiten, held=self.fit.held).moved(self.fit.parameters)
         sized = self.fit.sized(self.chosen, self.fit.fit(self.chosen)[0])
         there = there.clear_of(there.effects.possible_torques(sized))
-        # How many columns a term without a law has, one for each rest say, goes with the rows.
+        # Some terms have one column for each rest, so their number of columns depends on the rows.
         known = tuple(one for one in sized if there.columns(*one[0]).shape[1] == one[1].size)
         return replace(self, fit=there.beside(known), rounds=1)
 
     def at(self, parameters: Floats, held: tuple[int, ...] = ()) -> Set:
-        """At other parameters (p,), of which some are held, with the same sizes; not settled."""
+        """The set at other parameters (p,), those in `held` fixed, with the same sizes; not settled."""
         fit = replace(self.fit.moved(parameters), held=held).beside(self.fit.present)
         return replace(self, fit=fit)
 
     @property
     def sensible(self) -> bool:
-        """Whether every cause is itself at its size, and no others undo most of it."""
+        """Whether every cause is plausible at its size and not mostly cancelled by other effects."""
         return not self.senseless
 
     @cached_property
     def senseless(self) -> frozenset[str]:
-        """Names of the causes that are not themselves at their size, or that others undo most of.
+        """Names of the causes that are implausible at their size, or mostly cancelled by other effects.
 
-        Causes that are there are of any sign. Two that leave little together are the shape of a third.
-        Friction of any law dissipates: what is usual of it undoes no cause.
+        True causes have any sign. Two causes that nearly cancel imitate the shape of a third. Friction of any
+        law dissipates, so its remainders (loop, speed) cancel no true cause: they count as well.
         """
         good = sensible(self.fit, self.chosen)
         found = {item[0].name for item, one in zip(self.chosen, good, strict=True) if not one}
@@ -271,15 +277,16 @@ class Set:
         parts = np.array([self.fit.columns(*item) @ own for item, own in counted])
         parts -= parts.mean(axis=1, keepdims=True)
         causes = parts[-len(self.causes) :]
-        left = causes + (causes @ parts.T < 0.0) @ parts  # beside all of the other sign
+        left = causes + (causes @ parts.T < 0.0) @ parts  # with all parts of opposite sign
         size, rest = (np.linalg.norm(one, axis=1) for one in (causes, left))
         undone = (rest < (1.0 - calibration.UNDONE) * size) | self._of_torsion(causes, beta)
         return frozenset(found.union(self.causes[index][0].name for index in np.flatnonzero(undone)))
 
     def _of_torsion(self, causes: Floats, beta: Floats) -> npt.NDArray[np.bool_]:
-        """Which causes (k, n), by a fit's coefficients, stand for a part of the torsion.
+        """Which causes, given as parts (k, n) [rad], imitate a part of the torsion; shape (k,).
 
-        A torsion off the configured undoes most of them, and functions of the torque could make nearly all.
+        A change of the torsion, by a fit's coefficients, cancels most of such a cause. Functions of the
+        torque reproduce nearly all of it.
         """
         torsion, size = self.fit.torsion(beta), np.linalg.norm(causes, axis=1)
         greater = np.maximum(size, np.linalg.norm(torsion - torsion.mean()))
@@ -293,7 +300,7 @@ class Set:
 
 
 def presence(fit: LinearisedFit, effect: Effect) -> float:
-    """Prior log odds of a cause at one of its grid points."""
+    """Prior log odds of a cause at one of its grid points; 0 for given effects and remainders."""
     if effect.given or isinstance(effect, Remainder):
         return 0.0
     known = calibration.PRESENT if effect.searched and effect.inspect else calibration.UNKNOWN
@@ -301,7 +308,7 @@ def presence(fit: LinearisedFit, effect: Effect) -> float:
 
 
 def _prior(effect: Effect, count: int, width: float = 1.0) -> Prior:
-    """Of so many columns of an effect; those of a remainder are at a width."""
+    """Prior of `count` columns of an effect. The columns of a remainder contain its width."""
     if effect.standard:
         larger = calibration.LARGER_LINE if effect in ORDERS else calibration.LARGER
         widths = calibration.LOOP_BY if effect is LOOP else calibration.LARGER_BY

@@ -1,4 +1,4 @@
-"""The causes that were found, with their numbers from a fit to all rows."""
+"""The causes found, with their numbers from a fit to all rows."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from hd_diag.effects.effect import Effect
 from hd_diag.effects.motor_current import MotorCurrent
 from hd_diag.effects.remainders import LOOP, ORDERS, Remainder
 
-_NEARLY_ALL = 0.99  # of the rows: at its very ends few rows tell of a function
-_CHANCE_SHARE = 3.0  # times what noise alone gives to the columns of what wanders
+_NEARLY_ALL = 0.99  # quantile of a function's size: few rows determine its extremes
+_CHANCE_SHARE = 3.0  # deducted per column of a wandering effect; noise alone gives 1
 
 
 @dataclass(frozen=True)
@@ -40,20 +40,20 @@ class Cause:
         Values of its nonlinear quantities.
     coefficients : ndarray, shape (k,)
     covariance : ndarray, shape (k + m, k + m)
-        Of the coefficients and the nonlinear values.
+        Of the coefficients, then the nonlinear values.
     amplitude : float
         Of its part in the error [rad rms].
     reach : float
-        Half of what its part covers, peak to peak [rad].
+        Half the peak-to-peak range of its part [rad].
     standing : Standing
-        How sure it is, and which causes this record cannot tell from it.
+        How certain it is, and which causes this record cannot distinguish from it.
     gain, gain_low, gain_high : float
-        Share of the held-out deviance that it explains, with its interval.
+        Share of the held-out deviance that it explains, with its 95 % interval.
     shared : ndarray, shape (k,)
-        By how much its coefficients change where slow remainders are as usual: what these have grown for may
-        be its own, or it theirs. It is part of the covariance.
+        Change of its coefficients if slow remainders have their usual width. A grown remainder may contain a
+        part of the cause, or the cause a part of it. The covariance includes this change.
     others : tuple of (Effect, coefficients)
-        Which causes this record cannot tell from it, at the sizes at which they do what it does.
+        Causes that this record cannot distinguish from it, at the sizes that reproduce its part.
     """
 
     effect: Effect
@@ -71,13 +71,13 @@ class Cause:
 
     @property
     def alike(self) -> tuple[str, ...]:
-        """Names that this record cannot tell from it, itself among them; the most probable first."""
+        """Names of the causes in its class, usually its own among them; the most probable first."""
         return self.standing.alike
 
 
 @dataclass(frozen=True)
 class Function:
-    """A remainder as it was fitted.
+    """A fitted remainder.
 
     Attributes
     ----------
@@ -85,14 +85,14 @@ class Function:
     nonlinear : tuple of float
     coefficients : ndarray, shape (k,)
     rms, largest : float
-        Of its part in the error, and what hardly any row exceeds [rad]. Of one larger than usual it is
-        what all others leave: two may be larger than the error, and undo each other.
+        Rms of its part in the error, and the size that 1 % of the rows exceed [rad]. If it is larger than
+        usual, only the part that all others leave counts: two may exceed the error and cancel each other.
     at : float
-        Where that is: torque [N m], speed of the input [rad/s], place of the output [rad] or time [s].
+        Where that size occurs: torque [N m], input speed [rad/s], output angle [rad] or time [s].
     is_larger : bool
-        Whether it is larger than usual.
+        Whether it is larger than usual. A loop must also exceed the usual lost motion.
     is_described : bool
-        Whether it is worth a term in a model that runs: it lasts, and foretells blocks that were held out.
+        Whether a running model should hold it: it lasts, is large enough and predicts held-out blocks.
     """
 
     effect: Remainder
@@ -107,18 +107,18 @@ class Function:
 
 @dataclass(frozen=True)
 class Solution:
-    """A fit with the causes that were found, and all else that is fitted with them.
+    """A fit with the causes found, and all other fitted effects.
 
     Attributes
     ----------
     fit : LinearisedFit
         At the final parameters.
     causes : tuple of Cause
-        Most explaining first.
+        Largest gain first.
     given : tuple of (Effect, nonlinear values)
-        Remainders, shapes of no known cause, and what a motor takes of its current.
+        Terms without a known cause, effects of the motor, and remainders.
     table : tuple of OrderRow
-        Waves in the rest, largest first.
+        Waves in the residual, largest first.
     functions : tuple of Function
         The remainders with their numbers.
     """
@@ -131,7 +131,7 @@ class Solution:
 
     @property
     def chosen(self) -> Chosen:
-        """All that is fitted beside the model's parameters."""
+        """All effects fitted in addition to the model's parameters."""
         return (*((cause.effect, cause.nonlinear) for cause in self.causes), *self.given)
 
     @property
@@ -141,7 +141,7 @@ class Solution:
 
     @property
     def torque_shift(self) -> Floats:
-        """What the torque may be by the causes less that of the record that is fitted, (n, k) [N m]."""
+        """Torques possible with the causes, less the record's torque, shape (n, k) [N m]."""
         return self.fit.effects.possible_torques(self.fit.sized(self.chosen, self.fit.fit(self.chosen)[0]))
 
     def at(self, fit: LinearisedFit) -> Solution:
@@ -159,7 +159,7 @@ class Solution:
 
 
 def solution(best: Set, standings: dict[str, Standing], rng: np.random.Generator) -> Solution:
-    """Of the best set; the generator is for the intervals of the gains."""
+    """Solution of the best set. The generator draws the bootstrap intervals of the gains."""
     fit = best.fit
     known = [one for one in best.causes if not isinstance(one[0], UnmodelledTerm)]
     terms = [one for one in best.causes if isinstance(one[0], UnmodelledTerm)]
@@ -192,7 +192,7 @@ def solution(best: Set, standings: dict[str, Standing], rng: np.random.Generator
 def _others(
     fit: LinearisedFit, item: Item, coefficients: Floats, names: Collection[str]
 ) -> tuple[tuple[Effect, Floats], ...]:
-    """Other causes by their names, with the coefficients at which they do most of what one of a fit does."""
+    """Other named causes, with the coefficients that best reproduce the part of one fitted cause."""
     found = []
     part = fit.columns(*item)[:, : coefficients.size] @ coefficients
     for effect in (one for one in fit.data.searched if one.name in names and one.name != item[0].name):
@@ -206,7 +206,7 @@ def _others(
 
 
 def _shared(best: Set) -> dict[str, Floats]:
-    """By how much coefficients of causes change where slow remainders are as usual, by name."""
+    """Change of each cause's coefficients if slow remainders have their usual width, by name."""
     best = best if best.widths else best.valued()
     evidence = best.evidence()
     slow = {effect.name for effect, _ in best.remainders.items if effect not in ORDERS}
@@ -219,7 +219,7 @@ def _shared(best: Set) -> dict[str, Floats]:
 
 
 def part_of(fit: LinearisedFit, chosen: Chosen, item: Item, is_larger: bool) -> Floats:
-    """What a remainder adds along the rows of a fit, about its mean (n,) [rad]; see :class:`Function`."""
+    """A remainder's part in the error at fitted rows, about its mean (n,) [rad]; see :class:`Function`."""
     if is_larger:
         part = left_by(fit, chosen, tuple(one for one in chosen if one != item), item)
     else:
@@ -228,7 +228,7 @@ def part_of(fit: LinearisedFit, chosen: Chosen, item: Item, is_larger: bool) -> 
 
 
 def _functions(fit: LinearisedFit, chosen: Chosen, larger: Collection[str]) -> tuple[Function, ...]:
-    """The remainders among the chosen effects."""
+    """Numbers of the remainders among the chosen effects."""
     beta, built = fit.fit(chosen)[0], fit.design(chosen)
     found = []
     for (effect, nonlinear), place in zip(chosen, fit.places(chosen), strict=True):
@@ -255,7 +255,7 @@ def _functions(fit: LinearisedFit, chosen: Chosen, larger: Collection[str]) -> t
 
 
 class _Numbers(NamedTuple):
-    """Of a cause, see :class:`Cause`."""
+    """Fitted numbers of a cause, see :class:`Cause`."""
 
     coefficients: Floats
     covariance: Floats
@@ -263,14 +263,14 @@ class _Numbers(NamedTuple):
     reach: float
 
     def also(self, shared: Floats) -> _Numbers:
-        """With what the coefficients (k,) share with remainders as part of the covariance."""
+        """The numbers with the change of coefficients (k,) by remainders added to the covariance."""
         spread = self.covariance.copy()
         spread[: shared.size, : shared.size] += np.outer(shared, shared)
         return self._replace(covariance=spread)
 
 
 def _numbers(fit: LinearisedFit, chosen: Chosen) -> list[_Numbers]:
-    """Of every chosen effect; remainders have no part of their own."""
+    """Numbers of every chosen effect; amplitude and reach are zero for remainders."""
     beta, _, _ = fit.fit(chosen)
     spread, places = covariance(fit, chosen)
     found = []
@@ -282,22 +282,22 @@ def _numbers(fit: LinearisedFit, chosen: Chosen) -> list[_Numbers]:
 
 
 def parameters_of(found: Solution) -> tuple[Floats, Floats]:
-    """The model's parameters beside the causes, and their covariance, in units of `fit_parameters.units`.
+    """The model's parameters given the causes, and their covariance, in units of `fit_parameters.units`.
 
-    What is held makes the others no more certain than they are beside it. The covariance is by slopes over
-    what the record leaves open. By a motor's current all compliances may be off by one factor, and the
-    torque by its inverse, as far as the prior lets them.
+    The covariance treats held parameters as free, so holding them makes the others no more certain. Slopes
+    are averaged over the range that the record leaves open. If the torque comes from motor current, all
+    compliances may be off by one factor and the torque by its inverse, within the prior.
     """
     own, fit = slice(found.fit.parameters.size), found.fit
     beta, _, _ = fit.fit(found.chosen)
-    wide = fit.widened(found.chosen)  # not over what is held: that has a bound of its own
+    wide = fit.widened(found.chosen)  # not over held parameters: they have bounds of their own
     spread = covariance(replace(wide, held=()), found.chosen)[0][own, own]
     parameters = fit_parameters.admissible(fit.parameters + beta[own], fit.data.configured)
     return parameters, spread + fit_parameters.scaling(parameters, fit.data.held, fit.data.configured)
 
 
 def motor_deviations(found: Solution) -> dict[str, float]:
-    """Standard deviations of what a motor needs of its current, that of the common factor included."""
+    """Standard deviations of the motor's quantities by name, including that of the common factor."""
     fit = replace(found.fit, held=())
     for index, (effect, nonlinear) in enumerate(found.chosen):
         if not isinstance(effect, MotorCurrent):
@@ -313,10 +313,10 @@ def motor_deviations(found: Solution) -> dict[str, float]:
 
 
 def _share(fit: LinearisedFit, chosen: Chosen, index: int) -> Floats:
-    """Gain of one effect in every held-out block, over the mean residual deviance of all others.
+    """Gain of one effect in every held-out block, relative to the mean held-out deviance without it.
 
-    An effect that wanders cannot be predicted from block to block: its gain in each block beyond that of as
-    many columns by chance.
+    An effect that wanders cannot be predicted from block to block. Its gain is then that of the fit to all
+    blocks, less three times the gain of as many columns by chance.
     """
     others, place = chosen[:index] + chosen[index + 1 :], fit.places(chosen)[index]
     if chosen[index][0].wanders(chosen[index][1]):
@@ -328,13 +328,13 @@ def _share(fit: LinearisedFit, chosen: Chosen, index: int) -> Floats:
 
 
 def _block_deviances(fit: LinearisedFit, chosen: Chosen) -> Floats:
-    """Residual sum of squares of a fit to all blocks, in every block, less that of the data."""
+    """Residual sum of squares of a fit to all blocks, in every block, less the data's sum of squares."""
     beta, _, built = fit.fit(chosen)
     return np.asarray(np.einsum("k,bkl,l->b", beta, built.gram, beta) - 2.0 * built.moment @ beta)
 
 
 def _part(spread: Floats, place: npt.NDArray[np.int64]) -> Floats:
-    """Covariance of some values; zero for those that are not fitted."""
+    """Covariance of some values; zero for values that are not fitted."""
     part = spread[np.ix_(place, place)]
     fixed = place < 0
     part[fixed], part[:, fixed] = 0.0, 0.0

@@ -1,4 +1,4 @@
-"""What no known cause explains, described but not named: order, amplitude, torque and direction."""
+"""Parts without a known cause: their order, amplitude and dependence on torque and direction."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Unexplained:
     Attributes
     ----------
     order : float
-        Cycles per turn of the input, or per turn of the output, or hertz; 0 for what is not periodic.
+        Cycles per turn of the input, or per turn of the output, or hertz; 0 if the part is not periodic.
     frame : str
         ``input``, ``output`` or ``time``.
     amplitude : float
@@ -32,9 +32,9 @@ class Unexplained:
     torque_law, direction_law : str
         How it depends on torque and direction, in words.
     description : str
-        What is not periodic, in words.
+        In words, of a part that is not periodic.
     where : str
-        In words, if it shows in one direction, at some speeds or under one sign of the torque only.
+        In words, if the part shows in one direction, at some speeds or under one sign of the torque only.
     """
 
     order: float
@@ -47,7 +47,7 @@ class Unexplained:
 
 
 def waves(rest: Remainder) -> list[Wave]:
-    """Waves that are known to be there, then those that stand out of the noise, the strongest first."""
+    """Waves known to be in the residual, then those that stand out of the noise, strongest first."""
     even = Weight(np.ones(rest.residual.size))
     found = [Wave(order, "input", even) for order in rest.lines]
     for known in found:
@@ -59,7 +59,7 @@ def waves(rest: Remainder) -> list[Wave]:
 
 
 def with_table(found: Solution) -> Solution:
-    """With the order table of what its fit leaves."""
+    """The solution with the order table of its fit's residual."""
     rest = Remainder.of(found.fit, found.chosen, found.larger)
     return replace(found, table=order_table(rest, waves(rest), found.fit.signals.rated_torque))
 
@@ -76,7 +76,7 @@ def unexplained(found: Solution) -> list[Unexplained]:
 
 
 def lines(rest: Remainder, found: list[Wave]) -> list[Unexplained]:
-    """Waves with their size and laws, each beside those before it."""
+    """Waves with their size and laws, each after those before it are removed."""
     result = []
     for wave in found:
         result.append(_line(rest, wave))
@@ -85,7 +85,7 @@ def lines(rest: Remainder, found: list[Wave]) -> list[Unexplained]:
 
 
 def _term(found: Solution, item: Item, rest: Remainder) -> Unexplained:
-    """A part without a period; its amplitude is root two of its rms."""
+    """A part without a period; its amplitude is its rms times the root of two."""
     fit, (term, _) = found.fit, item
     place = fit.places(found.chosen)[found.chosen.index(item)]
     part = fit.columns(*item) @ fit.fit(found.chosen)[0][place]

@@ -1,4 +1,4 @@
-"""Terms without a known cause: they compete with the causes, lest the nearest cause is named for them."""
+"""Terms without a known cause. They compete with the causes, so that no lookalike is named for them."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from hd_diag.formatting import ARCSEC
 
 Shape = Callable[[Signals], Floats]
 
-_STRETCHES = 12  # that a creep may be cut into
+_STRETCHES = 12  # most stretches with a creep
 _CELLS = 240  # per turn of the output
-_WIDTHS = (0.06, 0.15)  # of a bump there [rad]
-_PERIODS = 4.0  # of a line within the output's way
-_LOWEST, _HIGHEST = 8, 1.9  # line per output turn; per input turn
-_FEWEST = 8  # lines of an input's encoder, as are usual
+_WIDTHS = (0.06, 0.15)  # half widths of a bump, of output angle [rad]
+_PERIODS = 4.0  # least periods of a line within the angle covered
+_LOWEST, _HIGHEST = 8, 1.9  # lowest line per output turn; highest per input turn
+_FEWEST = 8  # fewest lines of a usual input encoder
 _EVERY = np.arange(3, 41)
-# Of the input, that no gear must have and no encoder has.
+# Orders of the input that are neither a line of any gear nor a usual line number of an encoder.
 _ORDERS = _EVERY[~np.isin(_EVERY, LINES) & ((_EVERY < _FEWEST) | ~is_round(_EVERY))]
-_PEAKS = 3  # of a spectrum that are looked at, with their neighbours
+_PEAKS = 3  # highest peaks of a spectrum to start from
 
 
 _SIZE = Quantity("size", "rad", -1.0, 1.0, 1e-4, "of the greatest column")
@@ -39,12 +39,12 @@ _SIZE = Quantity("size", "rad", -1.0, 1.0, 1e-4, "of the greatest column")
 
 @dataclass(frozen=True, kw_only=True)
 class UnmodelledTerm(Effect):
-    """Columns of a shape without a known cause; `cause` says what it looks like.
+    """Columns of a shape without a known cause; `cause` describes the shape.
 
     Parameters
     ----------
     shape : callable
-        Signals to columns of order one, shape (n, k); k = 0 where the record has none.
+        Takes signals and gives columns of order one, shape (n, k); k = 0 if the record has none.
     """
 
     kind: Kind = "kinematic"
@@ -61,13 +61,13 @@ class UnmodelledTerm(Effect):
         return self.shape(signals) if signals.size else np.empty((0, 0))
 
     def testable(self, signals: Signals) -> tuple[bool, str]:
-        """Where the record has columns of it."""
+        """Whether the record has columns of it."""
         return bool(self.columns(signals, ()).shape[1]), "the record has nothing of the kind"
 
 
 @dataclass(frozen=True, kw_only=True)
 class LocalBump(UnmodelledTerm):
-    """A bump at one place of the output's turn, twice as wide as its half width to 1/e."""
+    """A Gaussian bump at one place of the output's turn; `width` is its half width to 1/e [rad]."""
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """See :meth:`Effect.columns`."""
@@ -77,12 +77,12 @@ class LocalBump(UnmodelledTerm):
         return bump[:, None]
 
     def testable(self, signals: Signals) -> tuple[bool, str]:
-        """Where the output moves."""
+        """Whether the output moves by more than half a radian."""
         moved = bool(signals.size) and float(np.ptp(signals.output_angle)) > 0.5
         return moved, "the output moves by less than half a radian"
 
     def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
-        """The place where a bump of each width explains most of a residual's mean over the turn."""
+        """For each width, the place where a bump explains most of a residual averaged over output turns."""
         trials = _CELLS * len(_WIDTHS)
         if residual is None:
             return Starts([(0.0, _WIDTHS[0])], trials)
@@ -109,7 +109,7 @@ def _around(values: Floats, bump: Floats) -> Floats:
 class OutputLine(UnmodelledTerm):
     """A wave with a whole number of periods per output turn, as rollers of an output bearing would leave.
 
-    Not the gear's own, nor a number of lines that an encoder may have: those are causes.
+    Orders of the gear and line numbers of encoders are excluded: they belong to causes.
     """
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
@@ -117,11 +117,11 @@ class OutputLine(UnmodelledTerm):
         return turning(nonlinear[0] * signals.output_angle)
 
     def testable(self, signals: Signals) -> tuple[bool, str]:
-        """Where some lines pass several periods."""
+        """Whether some line passes several periods."""
         return bool(_line_numbers(signals).size), "the output moves too little to show a line"
 
     def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
-        """The strongest of a residual's whole orders, and those beside them, which part of a turn blurs."""
+        """The strongest whole orders of a residual and their neighbours, as a partial turn blurs orders."""
         numbers = _line_numbers(signals)
         if residual is None or not numbers.size:
             return Starts([(float(one),) for one in numbers[:1]], numbers.size)
@@ -135,7 +135,7 @@ class OutputLine(UnmodelledTerm):
 class InputLine(UnmodelledTerm):
     """A wave with a whole number of periods per input turn.
 
-    Not the gear's own, nor a number of lines that an encoder may have: those are causes.
+    Lines of any gear and line numbers of encoders are excluded: they have terms of their own.
     """
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
@@ -143,12 +143,12 @@ class InputLine(UnmodelledTerm):
         return turning(nonlinear[0] * signals.wave_generator_angle)
 
     def testable(self, signals: Signals) -> tuple[bool, str]:
-        """Where the input turns several times."""
+        """Whether the input turns several times."""
         turned = float(np.ptp(signals.wave_generator_angle)) if signals.size else 0.0
         return turned > 2.0 * np.pi * _PERIODS, "the input turns too little to show a line"
 
     def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
-        """The strongest of a residual's whole orders."""
+        """The strongest whole orders of a residual."""
         if residual is None:
             return Starts([(float(_ORDERS[0]),)], _ORDERS.size)
         strength = integer_orders(signals.wave_generator_angle, residual, int(_ORDERS[-1]))[_ORDERS]
@@ -171,7 +171,7 @@ def _full(values: Floats) -> Floats:
 
 
 def _creep(signals: Signals) -> Floats:
-    """Travel, torque times travel, and a constant for every stretch: the creep before it."""
+    """Travel, torque times travel, and a constant for every stretch, which holds the creep before it."""
     stretches = bounds(signals.run)
     if len(stretches) > _STRETCHES:
         return np.empty((signals.size, 0))
@@ -185,9 +185,10 @@ def _creep(signals: Signals) -> Floats:
 
 
 def _constants(signals: Signals, part: Integers, rows: Integers) -> Floats:
-    """A constant for every part of a record but those that begin a recording: its encoder's zero is free.
+    """A constant for every part of a record, shape (n, k), except where a free encoder zero covers it.
 
-    By the number of each sample's part (n,), which rises, and the rows that count.
+    That is the first part of a recording. `part` is the number of each sample's part (n,), rising; `rows` are
+    the samples that count.
     """
     recording = np.zeros(signals.size, np.int64) if signals.recording is None else signals.recording
     first = np.flatnonzero(np.diff(part[rows])) + 1
@@ -206,13 +207,13 @@ def _rests(signals: Signals) -> Floats:
     kept = np.flatnonzero(count > 0.01 * signals.size)
     if not 3 <= kept.size <= 60:
         return np.empty((signals.size, 0))
-    # A flicker goes with the run before.
+    # A short flicker of motion belongs to the run before it.
     place = np.maximum(np.searchsorted(kept, number, side="right") - 1, 0)
     return _constants(signals, place, np.flatnonzero((speed >= least) & np.isin(number, kept)))
 
 
 def _rest_middles(speed: Floats, least: float) -> list[int]:
-    """Rows in the middle of the slowest part of every rest: a slow run begins slowly."""
+    """Rows in the middle of the slowest part of every rest, since a slow run begins slowly."""
     found = []
     for begin, end in spans(speed < least):
         part = speed[begin:end]
@@ -234,7 +235,7 @@ OUTPUT_LINES = tuple(
     )
     for number in (1, 2, 3)
 )
-"""Several of a kind, of which the first that is left is tried."""
+"""Several terms of one kind. The search tries the first that is not in the set."""
 
 UNMODELLED_TERMS = (
     UnmodelledTerm(
@@ -242,14 +243,14 @@ UNMODELLED_TERMS = (
         shape=_creep,
         cause="grows with the way, and with torque times way: something creeps",
         frame="input",
-        remembers=True,  # the way between fitted rows
+        remembers=True,  # it adds up the way between fitted rows
     ),
     UnmodelledTerm(
         name="rests",
         shape=_rests,
         cause="settles anew at every rest: something is loose",
         frame="time",
-        remembers=True,  # rows at rest, which are not fitted, say where it changes
+        remembers=True,  # it changes at rest, where rows are not fitted
     ),
     LocalBump(
         name="place",
@@ -273,4 +274,4 @@ UNMODELLED_TERMS = (
         ),
     ),
 )
-"""Each is tested like a cause, and described where it wins."""
+"""Each is tested like a cause, and described if it wins."""

@@ -1,4 +1,4 @@
-"""What is left of a record when all that is known is taken off, and the waves in it."""
+"""The residual of a record after all known parts are removed, and the waves in it."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ Rows = npt.NDArray[np.bool_]
 
 _MOST_ORDERS = 40.0
 _LEAST_TURNS = 3.0  # that show an order
-_LEAST_BESIDE, _PARTS = 50, 120  # values of the spectrum about a peak, of all the part beside it
+_LEAST_BESIDE, _PARTS = 50, 120  # least number of values beside a peak; spectrum size over that number
 _LEAST_ORDER = 0.012  # once and twice per output turn are causes of their own
-_LEAST_PART = 0.08  # of the record, in which a wave is searched for alone
-_CONFIRMED = 0.5  # of the gain of held-out blocks that a wave predicts
+_LEAST_PART = 0.08  # smallest share of the record in which a wave is searched for separately
+_CONFIRMED = 0.5  # least gain of held-out blocks over the predicted gain
 _UNLIKE = 0.8  # ratio of speeds below which they differ
-_CHANCE = 1e-4  # of a wave by noise alone, over all orders searched
+_CHANCE = 1e-4  # probability of a wave by noise alone, over all orders searched
 
 
 class Weight(NamedTuple):
@@ -42,7 +42,7 @@ class Weight(NamedTuple):
 
 
 class Wave(NamedTuple):
-    """A wave found: periods per turn of the input or per second, and what it is multiplied with."""
+    """A wave: periods per turn of the input or per second, and the factor it is multiplied by."""
 
     order: float
     frame: str
@@ -51,21 +51,21 @@ class Wave(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Remainder:
-    """Rows of a record with what no cause explains, shape (n,) each.
+    """Rows of a record with the residual that no cause explains, shape (n,) each.
 
     Parameters
     ----------
     time, input_angle, torque, speed : ndarray
-        [s], [rad], on the link [N m], of the input, positive where the output angle grows [rad/s].
+        [s], [rad], on the link [N m], input speed, positive where the output angle grows [rad/s].
     residual : ndarray
         [rad]
     beside : ndarray, shape (n, k)
-        Columns of all that was fitted: a wave has to bring more than they would.
+        All fitted columns: a wave has to explain more than they would.
     run, block : ndarray of int64
-        Numbers of the runs; of stretches of which each can be held out.
+        Numbers of the runs; numbers of the blocks that can be held out.
     ratio : float
     lines : tuple of float
-        Orders per turn of the input of waves that are known to be in it.
+        Orders per turn of the input of waves known to be in the residual.
     """
 
     time: Floats
@@ -81,9 +81,9 @@ class Remainder:
 
     @staticmethod
     def of(fit: LinearisedFit, chosen: Chosen, described: Collection[str] = ()) -> Remainder:
-        """What a fit leaves beside the chosen effects, and lines of unknown cause among them.
+        """Residual of a fit with the chosen effects, with lines of unknown cause added back.
 
-        So are lines that any gear has, where they are larger than usual: those `described`, by name.
+        Lines that any gear has are added back if `described` names them: those larger than usual.
         """
         s, beta = fit.signals, fit.fit(chosen)[0]
         known = tuple(item for item in chosen if not _is_line(item[0]))
@@ -111,7 +111,7 @@ class Remainder:
         )
 
     def phase(self, frame: str) -> Floats:
-        """Angle whose periods per turn are counted [rad]: of the input, or of one turn a second."""
+        """Angle whose periods per turn are counted [rad]: the input angle, or one turn a second."""
         return self.input_angle if frame == "input" else 2.0 * np.pi * self.time
 
     def pair(self, wave: Wave) -> Floats:
@@ -120,19 +120,19 @@ class Remainder:
 
     @cached_property
     def load(self) -> Floats:
-        """Torque over its greatest."""
+        """Torque over its greatest magnitude [-]."""
         return np.asarray(self.torque / max(float(np.max(np.abs(self.torque))), 1e-300))
 
     @cached_property
     def weights(self) -> list[Weight]:
-        """One; the torque over its greatest where it has both signs; one in a part of the record alone."""
+        """Factors to try: one; `load` if it has both signs; one within a part of the record only."""
         both = float(self.load.min()) < -0.2 and float(self.load.max()) > 0.2
         whole = [Weight(np.ones(self.load.size)), *([Weight(self.load)] if both else [])]
         parts = [*_signs(self.load, "under positive torque", "under negative torque"), *_speeds(self.speed)]
         return [*whole, *(Weight(rows.astype(np.float64), where) for rows, where in parts)]
 
     def without(self, wave: Wave) -> Remainder:
-        """The same with a wave fitted and taken off."""
+        """The rows after a wave is fitted and subtracted."""
         pair = self.pair(wave)
         rest = self.residual - projection(pair, self.residual)
         beside = np.concatenate((self.beside, pair), axis=1)
@@ -144,7 +144,7 @@ def _is_line(effect: Effect) -> bool:
 
 
 def strongest(rest: Remainder) -> Wave | None:
-    """The wave that stands out most: evenly, in proportion to the torque, or in a part of the record."""
+    """The most prominent wave: constant, in proportion to the torque, or in a part of the record."""
     residual = rest.residual
     peaks = [
         (*peak, frame)
@@ -155,7 +155,7 @@ def strongest(rest: Remainder) -> Wave | None:
     if not peaks:
         return None
     _, order, frame = max(peaks, key=lambda one: one[0])
-    # Noise is learnt beside waves of this order in every part, or strong ones would count as noise.
+    # Waves of this order in every part are removed before noise is learned; else they count as noise.
     every = [Wave(order, frame, one) for one in rest.weights]
     pairs = [rest.pair(wave) for wave in every]
     whiten = whitening(residual - projection(np.concatenate(pairs, axis=1), residual), rest.run)
@@ -179,7 +179,7 @@ def turns(phase: Floats) -> float:
 
 
 def _chance(rest: Remainder, pair: Floats, whiten: Whitening) -> float:
-    """Chance of the gain of a wave by noise."""
+    """Probability that noise alone gives the gain of a wave."""
     white, residual = whiten(rest.beside, rest.run), whiten(rest.residual, rest.run)
     basis = orthonormal(white)
     before = residual - basis @ (basis.T @ residual)
@@ -196,7 +196,7 @@ def _signs(values: Floats, above: str, below: str) -> list[tuple[Rows, str]]:
 
 
 def _speeds(speed: Floats) -> list[tuple[Rows, str]]:
-    """Rows of one direction, and in it of each third of the speeds, where the speed differs."""
+    """Rows of each direction, and in it of each third of the speeds if the speeds differ."""
     speed = speed / (2.0 * np.pi)
     found = _signs(speed, "forward", "backward") or [(speed != 0.0, "")]
     edges = np.quantile(np.abs(speed), (0.0, 1 / 3, 2 / 3, 1.0))
@@ -210,7 +210,7 @@ def _speeds(speed: Floats) -> list[tuple[Rows, str]]:
 
 
 def _peak(phase: Floats, residual: Floats) -> tuple[float, float] | None:
-    """Height of the highest peak of the spectrum over its neighbourhood, and its order."""
+    """Height of the spectrum's highest peak relative to its neighbourhood, and its order."""
     covered = turns(phase)
     if covered < _LEAST_TURNS:
         return None

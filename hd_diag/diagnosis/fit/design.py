@@ -1,4 +1,4 @@
-"""Least squares on whitened columns, by blocks: any of them can be held out without another fit."""
+"""Least squares on whitened columns, by blocks: any block can be held out without another fit."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.calibration import CERTAIN_SIZE, DISAGREEING, FORETOLD
 
 _DRAWS = 2000  # of a bootstrap
-_ALONE = 1e-10  # share of a column outside a block that is nothing but rounding
-_ALIKE = 1e-10  # least eigenvalue of a Gram matrix over its greatest: columns that rounding makes differ
-_APART = 1e-6  # share of a column that those before it leave, from which none of a matrix are alike
-_TOLD_APART = 1e-6  # of the inverse times the matrix from one
+_ALONE = 1e-10  # share of a column outside a block below which it is only rounding
+_ALIKE = 1e-10  # least eigenvalue of a Gram matrix over its greatest; below, columns differ by rounding only
+_APART = 1e-6  # least squared share of each column that those before it leave, if no columns are alike
+_TOLD_APART = 1e-6  # largest deviation from one of the inverse times the matrix
 
 
 @dataclass(frozen=True)
@@ -34,9 +34,9 @@ class Design:
     square : ndarray, shape (blocks,)
         ``y_b^T y_b``.
     precision, pull : ndarray, shape (k,)
-        Of the prior of every coefficient, and where it is centred: what blocks cannot tell stays there.
+        Prior precision and centre of every coefficient. If the blocks say nothing, it stays at the centre.
     wandering : ndarray of int64, shape (m,)
-        Columns of which other blocks say nothing: a block that is held out fits them anew.
+        Indices of columns that other blocks cannot predict: a held-out block fits them itself.
     """
 
     gram: Floats
@@ -47,11 +47,11 @@ class Design:
     wandering: Integers
 
     def deviance(self) -> float:
-        """Residual sum of squares of the fit to all blocks, with that of the prior."""
+        """Residual sum of squares of the fit to all blocks, including that of the prior."""
         return self.deviance_at(np.empty(0, np.int64), np.empty(0))
 
     def deviance_at(self, fixed: Integers, values: Floats) -> float:
-        """The same with the coefficients of some indices fixed at values, (m,) each."""
+        """Deviance with the coefficients at some indices fixed, (m,) indices and values."""
         (gram, moment), free = self.whole, np.delete(np.arange(self.pull.size), fixed)
         rest = moment[free] - gram[np.ix_(free, fixed)] @ values
         own = values @ (gram[np.ix_(fixed, fixed)] @ values - 2.0 * moment[fixed])
@@ -59,7 +59,7 @@ class Design:
         return float(known - rest @ solve(gram[np.ix_(free, free)], rest))
 
     def holding(self, numbers: Integers, values: Floats) -> Design:
-        """The same with some coefficients at values: their columns are taken off the target."""
+        """The design with some coefficients fixed: their columns are subtracted from the target."""
         if not numbers.size:
             return self
         gram, moment = self.gram.copy(), self.moment - self.gram[:, :, numbers] @ values
@@ -70,7 +70,7 @@ class Design:
         return replace(self, gram=gram, moment=moment, square=square, precision=precision)
 
     def without_wandering(self) -> Design:
-        """The same with every block less what its own fit of the wandering columns explains."""
+        """The design with the wandering columns projected out of every block."""
         numbers = self.wandering
         if not numbers.size:
             return self
@@ -96,7 +96,7 @@ class Design:
         return gram + np.diag(self.precision), moment + self.precision * self.pull
 
     def held_out(self) -> Floats:
-        """Sum of squares of each block, predicted by a fit to all others; shape (blocks,)."""
+        """Residual sum of squares of each block, predicted by a fit to all others; shape (blocks,)."""
         result = self.without_wandering().square.copy()
         for block, (g, m, _, _, beta, _) in enumerate(self._by_others):
             result[block] += beta @ g @ beta - 2.0 * beta @ m
@@ -104,7 +104,7 @@ class Design:
 
     @cached_property
     def _by_others(self) -> list[tuple[Floats, Floats, Floats, Floats, Floats, Floats]]:
-        """As `blocks`, with the solution of all others (k,) and the inverse of their Gram matrix (k, k)."""
+        """As `blocks`, with the others' solution (k,) and the inverse of their Gram matrix (k, k)."""
         found = []
         for own, own_moment, others, towards in self.without_wandering().blocks():
             spread = inverse(others)
@@ -112,7 +112,7 @@ class Design:
         return found
 
     def held_out_gain(self, dropped: slice) -> tuple[Floats, Floats, Floats]:
-        """What some columns bring in each block, by fits to all others.
+        """Gain by some columns in each block, predicted by fits to all others.
 
         Parameters
         ----------
@@ -122,19 +122,19 @@ class Design:
         Returns
         -------
         gain : ndarray, shape (blocks,)
-            Fall of the block's sum of squares.
+            Decrease of the block's residual sum of squares.
         predicted : ndarray, shape (blocks,)
-            The fall if the prediction were right.
+            Decrease if the prediction were right.
         variance : ndarray, shape (blocks,)
-            Of half the gain about it: by noise as much as is predicted, and by what the others leave open of
-            all coefficients. A block in whose state no other is says little.
+            Of half the gain about half its prediction. Noise contributes `predicted`; the rest is from the
+            uncertainty of all coefficients. A block in a state that no other block has says little.
         """
         count = self.moment.shape[1]
         rest = np.delete(np.arange(count), np.r_[dropped])
         gain, predicted, variance = np.empty((3, self.square.size))
         for block, (g, m, others, towards, beta, spread) in enumerate(self._by_others):
             fewer = np.zeros(count)
-            told = np.einsum("ij,ji->i", spread[dropped], others[:, dropped])  # one where no other is alike
+            told = np.einsum("ij,ji->i", spread[dropped], others[:, dropped])  # one if no column is alike
             if np.all(np.abs(told - 1.0) < _TOLD_APART):
                 step = np.linalg.solve(spread[dropped, dropped], beta[dropped])
                 fewer[rest] = (beta - spread[:, dropped] @ step)[rest]
@@ -148,14 +148,15 @@ class Design:
         return gain, predicted, variance
 
     def prior_gain(self, dropped: slice) -> tuple[float, float]:
-        """What some columns bring by the prior of all others, beside what they bring in the blocks.
+        """Gain by some columns in the prior term of the others, in addition to that in the blocks.
 
         Returns
         -------
         gain : float
-            How much farther the others are from their prior without these columns, as a sum of squares.
+            Increase of the others' sum of squares from their prior if these columns are dropped.
         predicted : float
-            The square of how far they move. In a fit to all blocks both sums, these included, are equal.
+            Sum of squares of the others' shift. Summed over all blocks and this term, gain and predicted gain
+            of a fit to all blocks are equal.
         """
         gram, moment = self.whole
         rest = np.delete(np.arange(moment.size), np.r_[dropped])
@@ -168,7 +169,7 @@ class Design:
     def blocks(self) -> Iterator[tuple[Floats, Floats, Floats, Floats]]:
         """Normal equations of every block and of all others.
 
-        A column that lives in the block alone leaves only rounding behind: it is set to zero.
+        A column confined to one block is only rounding in the others: it is set to zero there.
         """
         gram, moment = self.whole
         for own, own_moment in zip(self.gram, self.moment, strict=True):
@@ -179,12 +180,12 @@ class Design:
 
 
 def solve(gram: Floats, moment: Floats) -> Floats:
-    """Solution of normal equations whose columns may be of any scale, or alike; shape (k,)."""
+    """Solution of normal equations, shape (k,). Columns may be of any scale, or alike."""
     return np.asarray(inverse(gram) @ moment)
 
 
 def inverse(gram: Floats) -> Floats:
-    """Inverse of a Gram matrix whose columns may be of any scale, alike, or zero; shape (k, k)."""
+    """Inverse of a Gram matrix, shape (k, k). Columns may be of any scale, alike, or zero."""
     square = np.diag(gram)
     if not square.size or not np.all(square > 0.0):
         own, found = np.flatnonzero(square > 0.0), np.zeros_like(gram)
@@ -220,9 +221,9 @@ def design(
     block : ndarray of int64, shape (n,)
         Contiguous stretches numbered from zero.
     precision, pull : ndarray, shape (k,), optional
-        Of the prior; none without.
+        Of the prior; by default there is none.
     wandering : ndarray of int64, shape (m,), optional
-        Columns of which one block says nothing about another.
+        Indices of columns that one block cannot predict for another.
 
     Returns
     -------
@@ -239,9 +240,9 @@ def design(
 
 
 def orthonormal(columns: Floats) -> Floats:
-    """Basis of columns (n, k) of any scale, shape (n, m); those that are alike, or zero, have fewer.
+    """Orthonormal basis (n, m) of columns (n, k) of any scale; m < k if columns are alike or zero.
 
-    By their Gram matrix, ten times as fast as by reflections; a second round takes out what rounding leaves.
+    The Gram matrix is ten times as fast as reflections. A second round removes its rounding.
     """
     for _ in range(2):
         norm = np.linalg.norm(columns, axis=0)
@@ -253,19 +254,19 @@ def orthonormal(columns: Floats) -> Floats:
 
 
 def projection(columns: Floats, target: Floats) -> Floats:
-    """Part of a target (n,), or of several (n, k), that columns of any scale explain; in its shape."""
+    """Projection of a target (n,), or of several (n, k), on columns of any scale; same shape."""
     return np.asarray(columns @ solve(columns.T @ columns, columns.T @ target))
 
 
 def f_test(before: float, after: float, added: int, rows: int, fitted: int) -> float:
-    """Chance of such a gain by noise alone.
+    """Probability of such a gain by noise alone.
 
     Parameters
     ----------
     before, after : float
         Residual sums of squares without and with the columns.
     added, fitted : int
-        Columns added, and all columns with them.
+        Number of columns added, and of all columns including these.
     rows : int
 
     Returns
@@ -287,7 +288,7 @@ def lower_bound(gains: Floats) -> float:
 
 
 def holds(gain: Floats, predicted: Floats, variance: Floats) -> bool:
-    """Whether a gain in blocks that were not fitted is beyond chance.
+    """Whether a gain in held-out blocks is beyond chance.
 
     Parameters
     ----------
@@ -297,10 +298,10 @@ def holds(gain: Floats, predicted: Floats, variance: Floats) -> bool:
     Returns
     -------
     bool
-        If more than half of what others foretell is there, and at most twice as much, for certain: by noise,
-        where the blocks agree or scatter no more than it lets them; else by their scatter, each counting by
-        what it tells, as many as they come to (Kish, Survey Sampling, 1965, 8.2). All blocks together must
-        gain, also those of which the others leave much open.
+        True if the size in held-out blocks is certainly more than half the predicted size, where the gain is
+        zero, and not certainly more than twice. The margin is that of noise if the blocks agree or scatter no
+        more than noise. Next, the margin of their own scatter is tried: weighted by information, for the
+        effective number of blocks (Kish, Survey Sampling, 1965, 8.2). The gains must have a positive sum.
     """
     told = predicted**2 / np.maximum(variance, 1e-300)
     whole, few = float(told.sum()), gain.size - 1
@@ -318,17 +319,17 @@ def holds(gain: Floats, predicted: Floats, variance: Floats) -> bool:
 
 
 def foretold(gain: Floats, predicted: Floats, variance: Floats) -> float:
-    """Gain in all blocks that were not fitted, each counting by what it tells."""
+    """Sum of the gains in held-out blocks, each weighted by predicted gain over variance."""
     return float(np.sum(predicted * gain / np.maximum(variance, 1e-300)))
 
 
 def _is_between(share: float, margin: float) -> bool:
-    """Whether a share is beyond the lower end by a margin, and beyond the upper one by no more."""
+    """Whether a share exceeds the lower end by more than a margin, and the upper end by less than it."""
     return FORETOLD[0] + margin < share < FORETOLD[1] + margin
 
 
 def interval(gains: Floats, rng: np.random.Generator, over: Floats | None = None) -> tuple[float, float]:
-    """95 % interval of a mean over blocks, or of the ratio of two, by bootstrap: they are independent."""
+    """95 % bootstrap interval of a mean over independent blocks, or of the ratio of two means."""
     over = np.ones(gains.size) if over is None else over
     draws = rng.integers(0, gains.size, (_DRAWS, gains.size))
     low, high = np.quantile(gains[draws].sum(axis=1) / over[draws].sum(axis=1), (0.025, 0.975))

@@ -1,4 +1,4 @@
-"""The model's own parameters as numbers to fit: the drive they make, its error and derivatives."""
+"""The model's own parameters as numbers to fit; the drive with these, its error and derivatives."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from hd_diag.model.mesh import largest_displacement
 
 @dataclass(frozen=True)
 class Scale:
-    """One fitted number: name, size of one unit in SI, prior width in such units, how people write it."""
+    """One fitted number: name, SI size of one unit, prior width in these units, unit as people write it."""
 
     name: str
     si: float
@@ -44,7 +44,7 @@ SCALES = (
 )
 """The fitted parameters, in units near the precision that matters to a gear of size 25, ratio 100.
 
-The tilt's two, the last, are those of a drive with more than one section: see :func:`units`.
+Only a drive with more than one section has the last two, its tilt: see :func:`units`.
 """
 
 GROUPS: dict[str, tuple[int, ...]] = {
@@ -55,40 +55,40 @@ GROUPS: dict[str, tuple[int, ...]] = {
     "cup_compliance": (6,),
     "tilt": (7, 8),
 }
-"""Parameters that are judged together: their numbers."""
+"""Indices of the parameters that are judged together, by group."""
 
 DATUM, COMPLIANCE, CUP = (
     GROUPS[name][0] for name in ("circular_spline_datum", "tooth_compliance", "cup_compliance")
 )
-"""Numbers of the datum and of the two compliances."""
+"""Indices of the datum and of the two compliances."""
 
 TORSION = [DATUM, COMPLIANCE, CUP]
-"""Numbers of those that make the torsion."""
+"""Indices of the parameters that shape the torsion."""
 
 _PAIRS = {name: slice(own[0], own[1] + 1) for name, own in GROUPS.items() if len(own) == 2}
 TILT = _PAIRS["tilt"]
-"""Numbers of the tilt, none where there is one section."""
+"""Slice of the tilt, empty in the parameters of a drive with one section."""
 
-_SINGLE = slice(DATUM, CUP + 1)  # what is no displacement
+_SINGLE = slice(DATUM, CUP + 1)  # all but the displacements
 _MOST_DISPLACED = {"eccentricity": 45.0, "runout": 20.0}
-_MOST_TILTED, _MOST_LEANING = 50.0, 15.0  # units; of the outermost section's displacement, in units of length
-_ROOM = 0.98  # of what a mesh can be displaced by
-_DATUM = (-40.0, 45.0)  # from the configured one
-_HALVINGS = 12  # towards the last datum that makes a gear
+_MOST_TILTED, _MOST_LEANING = 50.0, 15.0  # tilt, and displacement of the outermost section by it, in units
+_ROOM = 0.98  # usable share of the largest displacement of a mesh
+_DATUM = (-40.0, 45.0)  # range about the configured one, in units
+_HALVINGS = 12  # in the search for the last datum that makes a gear
 
-_OTHER_END = np.ones(len(SCALES))  # signs by which a ring's ends are swapped
+_OTHER_END = np.ones(len(SCALES))  # signs of the parameters with a ring's ends swapped
 _OTHER_END[TILT] = -1.0
-_SIGNS = -np.ones(len(SCALES))  # that swapped lobes give
+_SIGNS = -np.ones(len(SCALES))  # signs of the parameters with lobes swapped
 _SIGNS[_SINGLE] = 1.0
 
-# Nodes of a pitch, from one section to many: these bear one after the other, and fewer are as exact.
+# Nodes per pitch, from one section to many. Sections bear one after the other, so fewer nodes are as exact.
 _STEPS_PER_TOOTH, _LEAST_STEPS = 4, 2
-_NODES_PAY = 1.5  # samples per node from which they do
-_MORE_TORQUE = 0.25  # of the rated torque: what causes may add before all is solved anew
+_NODES_PAY = 1.5  # samples per node from which nodes are faster than exact samples
+_MORE_TORQUE = 0.25  # of the rated torque: causes may add this before nodes are solved again
 
 
 def warm_up() -> None:
-    """Compile now, or read from the disk, what a diagnosis needs."""
+    """Compile now, or read from the disk, the functions that a diagnosis needs."""
     from hd_diag.diagnosis import kernel  # late: it imports numba
 
     torsion.warm_up(gradient=True)
@@ -97,9 +97,9 @@ def warm_up() -> None:
 
 
 def units(configured: Drive) -> Floats:
-    """What one of each parameter is in SI, shape (p,): lengths go with the module, the cup with torque.
+    """SI size of one unit of each parameter, shape (p,). Lengths scale with the module, the cup with torque.
 
-    There are 7 parameters, 9 where there are sections that a tilt displaces.
+    There are 7 parameters, or 9 for a drive with several sections, which a tilt displaces.
     """
     scales = unit_scales(configured)
     return np.array([scale.si * scales.get(scale.unit, 1.0) for scale in SCALES[: count(configured)]])
@@ -111,22 +111,22 @@ def count(configured: Drive) -> int:
 
 
 def numbers_of(names: Iterable[str]) -> list[int]:
-    """Of the parameters of some groups."""
+    """Indices of the parameters of some groups."""
     return [number for name in names for number in GROUPS[name]]
 
 
 def groups(configured: Drive) -> dict[str, tuple[int, ...]]:
-    """Those of `GROUPS` that a drive has."""
+    """The entries of `GROUPS` that a drive has."""
     return {name: numbers for name, numbers in GROUPS.items() if numbers[-1] < count(configured)}
 
 
 def displacements(parameters: Floats) -> Floats:
-    """Eccentricity, runout and tilt of parameters, shape (4,) or (6,)."""
+    """Eccentricity, runout and tilt among parameters, shape (4,) or (6,)."""
     return np.asarray(parameters[_SIGNS[: parameters.size] < 0.0])
 
 
 def alike(parameters: Floats, configured: Drive) -> tuple[Floats, ...]:
-    """Parameters of the same drive, these first: with its lobes swapped; a ring's with its ends swapped."""
+    """Equivalent parameters: as given, with lobes swapped, and for a ring also with its ends swapped."""
     found = parameters, swapped(parameters)
     if configured.mesh.geometry.cup_length or parameters.size == TILT.start:
         return found
@@ -134,7 +134,7 @@ def alike(parameters: Floats, configured: Drive) -> tuple[Floats, ...]:
 
 
 def direction_period(name: str, configured: Drive) -> float:
-    """Turn after which the direction of a displacement says the same [rad], the eccentricity's first."""
+    """Period of a displacement's direction [rad]: pi for the eccentricity and a ring's tilt, else 2 pi."""
     ring = not configured.mesh.geometry.cup_length
     return np.pi if name == "eccentricity" or (name == "tilt" and ring) else 2.0 * np.pi
 
@@ -145,7 +145,7 @@ def swapped(parameters: Floats) -> Floats:
 
 
 def vector(drive: Drive, configured: Drive) -> Floats:
-    """A drive's parameters in its own units, see :func:`units`, shape (p,)."""
+    """A drive's parameters in the configured drive's units, see :func:`units`, shape (p,)."""
     mesh = drive.mesh
     compliance = mesh.tooth_compliance / configured.mesh.tooth_compliance
     displaced = [mesh.eccentricity.real, mesh.eccentricity.imag, mesh.runout.real, mesh.runout.imag]
@@ -155,14 +155,14 @@ def vector(drive: Drive, configured: Drive) -> Floats:
 
 
 def drive_of(parameters: Floats, configured: Drive) -> Drive:
-    """The drive with these parameters; they are first moved into what a mesh can be.
+    """The drive with these parameters, after they are moved into their bounds.
 
     Parameters
     ----------
     parameters : ndarray, shape (p,)
         See :func:`units`.
     configured : Drive
-        Gives everything that is not fitted.
+        Supplies everything that is not fitted.
 
     Returns
     -------
@@ -195,9 +195,9 @@ def admissible(parameters: Floats, configured: Drive) -> Floats:
 
 
 def at_bound(parameters: Floats, configured: Drive) -> tuple[int, ...]:
-    """Numbers of the parameters that are as far off as they can be: nothing is known of these.
+    """Indices of the parameters at a bound: the record does not determine their values.
 
-    A cup without compliance is one that may be.
+    A cup compliance of zero is possible and does not count.
     """
     low, high = bounds(configured)
     wide = 1e-3 * (high - low)[_SINGLE]
@@ -212,7 +212,7 @@ def at_bound(parameters: Floats, configured: Drive) -> tuple[int, ...]:
 
 
 def _displaced(configured: Drive) -> list[tuple[slice, float]]:
-    """Places of every displacement, and how large it may be; all together no more than a mesh can have."""
+    """Slice and largest size of every displacement. Together they stay within the room of the mesh."""
     own = units(configured)
     found = [(_PAIRS[name], most) for name, most in _MOST_DISPLACED.items()]
     if own.size == TILT.start:
@@ -227,7 +227,7 @@ def _displaced(configured: Drive) -> list[tuple[slice, float]]:
 
 
 def bounds(configured: Drive) -> tuple[Floats, Floats]:
-    """Least and greatest value of every parameter, shape (p,) each; displacements have none of their own."""
+    """Least and greatest value of every parameter, shape (p,) each; infinite for displacements."""
     own = units(configured)
     low, high = np.full(own.size, -np.inf), np.full(own.size, np.inf)
     unit = float(own[DATUM])
@@ -238,7 +238,7 @@ def bounds(configured: Drive) -> tuple[Floats, Floats]:
 
 @lru_cache(maxsize=16)
 def _room(geometry: Geometry, datum: float) -> float:
-    """What the wave generator of a drive with a datum [m] can be displaced by [m]."""
+    """Largest displacement of the wave generator [m] in a drive with a given datum [m]."""
     return largest_displacement(replace(geometry, circular_spline_datum=datum))[0]
 
 
@@ -264,13 +264,13 @@ def _datums(geometry: Geometry, unit: float) -> tuple[float, float]:
 
 
 def common_factor(configured: Drive) -> float:
-    """Standard deviation of a factor of all compliances, and of the torque's inverse, by the prior [-]."""
+    """Prior standard deviation of a common factor of all compliances and of the inverse torque [-]."""
     center, width = prior(configured)
     return float(width[COMPLIANCE] / center[COMPLIANCE])
 
 
 def scaling(parameters: Floats, held: tuple[int, ...], configured: Drive) -> Floats:
-    """Covariance (p, p) of compliances that are off by one factor, where that of the teeth is held."""
+    """Covariance (p, p) of a common factor of the compliances if that of the teeth is held, else zero."""
     step = np.zeros(parameters.size)
     if COMPLIANCE in held:
         step[[COMPLIANCE, CUP]] = parameters[[COMPLIANCE, CUP]] * common_factor(configured)
@@ -280,12 +280,12 @@ def scaling(parameters: Floats, held: tuple[int, ...], configured: Drive) -> Flo
 def bounded(
     beta: Floats, covariance: Floats, parameters: Floats, configured: Drive
 ) -> tuple[Floats, Integers]:
-    """The best coefficients of a fit whose parameters a drive can have: those beyond a bound lie on it.
+    """The best coefficients of a fit with parameters in their bounds; those beyond a bound are set on it.
 
     Parameters
     ----------
     beta : ndarray, shape (k,)
-        Steps from the parameters, then other coefficients.
+        Steps from the parameters, then the other coefficients.
     covariance : ndarray, shape (k, k)
     parameters : ndarray, shape (p,)
     configured : Drive
@@ -294,7 +294,7 @@ def bounded(
     -------
     beta : ndarray, shape (k,)
     held : ndarray of int64
-        Numbers of the parameters that lie on a bound.
+        Indices of the parameters on a bound.
     """
     own, held = slice(parameters.size), np.zeros(parameters.size, dtype=np.bool_)
     found = beta
@@ -322,8 +322,8 @@ def prior(configured: Drive) -> tuple[Floats, Floats]:
 class DriveAlong:
     """A drive along a record: its transmission error and derivatives by the parameters, at any torques.
 
-    They are exact where samples are few; else by :class:`hd_diag.model.torsion.TorsionAlong`, which is solved
-    once for all torques not far from those of the record.
+    They are exact if samples are few. Otherwise :class:`hd_diag.model.torsion.TorsionAlong` gives them. It is
+    solved once for all torques near those of the record.
 
     Parameters
     ----------
@@ -333,7 +333,7 @@ class DriveAlong:
     torque : ndarray, shape (n,)
         Of the record [N m].
     steps : int
-        Of a tooth's pitch; by default four in one section, three in three and two in five.
+        Steps per tooth pitch; by default four for one section, three for three and two for five.
     """
 
     drive: Drive
@@ -343,12 +343,12 @@ class DriveAlong:
     steps: int = 0
 
     def __call__(self, torque: Floats) -> tuple[Floats, Floats, Floats]:
-        """At torques (n,) [N m].
+        """Evaluate at torques (n,) [N m].
 
         Returns
         -------
         error : ndarray, shape (n,)
-            To 0.02 arcsec rms of a gear of ratio 100, to 0.1 of one of 50 [rad].
+            [rad]; accurate to 0.02 arcsec rms for a gear of ratio 100, to 0.1 for one of ratio 50.
         jacobian : ndarray, shape (n, p)
             [rad] per unit, see :func:`units`.
         slope : ndarray, shape (n,)
@@ -371,7 +371,7 @@ class DriveAlong:
         return drive.frame.transmission_error(beta, torque), jacobian, -by_torque - drive.cup_compliance
 
     def _torsion(self, torque: Floats) -> tuple[Floats, Floats]:
-        """And its derivatives, at torques on the cup (n,) [N m]."""
+        """Torsion [rad] and its derivatives, at torques on the cup (n,) [N m]."""
         mesh, steps = self.drive.mesh, self._steps
         if torque.size < _NODES_PAY * (steps + 1) * torsion.teeth_along(mesh, steps, torque.size)[0]:
             return torsion.torsion_and_gradient(mesh, self._angle, torque)
@@ -381,7 +381,7 @@ class DriveAlong:
 
     @cached_property
     def _along(self) -> torsion.TorsionAlong:
-        """Solved for torques about those of the record."""
+        """The torsion, solved for torques about those of the record."""
         torque = self.drive.frame.cup_torque(self.torque)
         low, high = float(torque.min()), float(torque.max())
         more = torsion.BEYOND + _MORE_TORQUE * self.configured.rated_torque
@@ -425,9 +425,9 @@ def physical(parameters: Floats, covariance: Floats, configured: Drive) -> dict[
     Returns
     -------
     dict
-        By name: value, std, unit, configured. All displacements together may be turned by pi: they are
-        given with the eccentricity's direction in [0, pi). So may the tilt of a ring alone, and is given in
-        [0, pi) too. What lies at a bound has no deviation: nan.
+        By name: value, std, unit, configured. All displacements turned by pi together are the same drive:
+        the eccentricity's direction is given in [0, pi). The tilt of a ring may be turned by pi alone, and
+        its direction is given in [0, pi), too. The std of a parameter at a bound is nan.
     """
     covariance = covariance.copy()
     covariance[list(at_bound(parameters, configured))] = np.nan
@@ -442,7 +442,7 @@ def physical(parameters: Floats, covariance: Floats, configured: Drive) -> dict[
         turned = np.array([x, y]) / size if size > 1e-9 else np.array([1.0, 0.0])
         along, across = turned, np.array([-turned[1], turned[0]])
         length, turn = (float(np.sqrt(way @ block @ way)) for way in (along, across))
-        most = float(np.pi / np.sqrt(12.0))  # of a direction that is not known at all
+        most = float(np.pi / np.sqrt(12.0))  # std of an unknown direction
         found[f"{name}.magnitude"] = _entry(size * unit, length * unit, SCALES[pair.start].unit, abs(before))
         found[f"{name}.direction"] = _entry(
             float(np.arctan2(y, x)), float(np.minimum(turn / size, most)), "rad", cmath.phase(before)
@@ -459,7 +459,7 @@ def physical(parameters: Floats, covariance: Floats, configured: Drive) -> dict[
 
 
 def _upright(parameters: Floats) -> tuple[bool, ...]:
-    """Whether the eccentricity's, then the tilt's direction is in [0, pi)."""
+    """Whether the directions of the eccentricity and of the tilt are in [0, pi), in this order."""
     pairs = parameters[:2], parameters[TILT]
     return tuple((pair[1], pair[0]) >= (0.0, 0.0) for pair in pairs if pair.size)
 

@@ -1,4 +1,4 @@
-"""The rows of a record that fits use, and what all fits of these rows share."""
+"""The rows of a record that fits use, and the results that all fits of these rows share."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ from hd_diag.effects.effect import Effect, Starts, Values
 from hd_diag.effects.signals import Signals
 
 _BLOCKS = 24
-_MISFIT = 1.15  # times the measured noise, beyond which a residual does not say what the noise is like
+_MISFIT = 1.15  # times the measured noise, from which a residual is not used as noise
 _MOST_KEPT = 160 << 20  # bytes
-_KNOWN = 2  # parameters, for a search that goes back to them
+_KNOWN = 2  # cached points of the parameters: a search goes back to them
 
 
 class PassNoise(NamedTuple):
-    """Noise as passes of the same states measure it: rms [rad], covariances at lags 0 to ORDER [rad^2]."""
+    """Noise measured by passes of the same states: rms [rad], covariances at lags 0 to ORDER [rad^2]."""
 
     rms: float
     covariance: Floats
@@ -52,13 +52,13 @@ class FittedRows:
     Parameters
     ----------
     model : RecordModel
-        Of all rows.
+        The model along all rows.
     mask : ndarray of bool, shape (n,)
         Which rows are fitted.
     catalogue : tuple of Effect
         Causes to search among.
     known : PassNoise, optional
-        Noise as more rows of the record showed it.
+        Noise measured on more rows of the record.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class FittedRows:
 
     @property
     def source(self) -> Record:
-        """All rows."""
+        """The record with all rows."""
         return self.model.record
 
     @property
@@ -86,30 +86,30 @@ class FittedRows:
         return self.model.configured
 
     def on(self, mask: npt.NDArray[np.bool_]) -> FittedRows:
-        """Other rows of the same record."""
+        """The same for other rows of the record."""
         same = np.array_equal(mask, self.mask)
         return self if same else FittedRows(self.model, mask, self.catalogue, self.known)
 
     @cached_property
     def at(self) -> Integers:
-        """Numbers of the fitted rows: several times as fast as a mask."""
+        """Indices of the fitted rows: several times as fast as a mask."""
         return np.flatnonzero(self.mask)
 
     @cached_property
     def record(self) -> Record:
-        """The fitted rows."""
+        """The record with the fitted rows."""
         return self.source.select(self.mask)
 
     @cached_property
     def run(self) -> Integers:
-        """Run numbers of the fitted rows, with a new number after every row left out."""
+        """Run numbers of the fitted rows, with a new number after every omitted row."""
         gap = np.concatenate(([False], np.diff(self.at) > 1))
         change = np.concatenate(([False], np.diff(self.source.run[self.mask]) != 0))
         return np.cumsum(gap | change).astype(np.int64)
 
     @cached_property
     def block(self) -> Integers:
-        """Numbers of some 24 contiguous stretches of equal length, of which each can be held out."""
+        """Numbers of 24 contiguous blocks of equal length; each block can be held out."""
         return (np.arange(self.at.size) * _BLOCKS // max(self.at.size, 1)).astype(np.int64)
 
     @cached_property
@@ -120,7 +120,7 @@ class FittedRows:
 
     @cached_property
     def offsets(self) -> Floats:
-        """Columns of the encoders' zero at the fitted rows, one for each recording; or of its drift."""
+        """Columns of the encoders' zero at the fitted rows, one per recording; or of a velocity's drift."""
         if self.source.by_velocity:
             return drift_columns(self.source.time, self.source.bag)[self.at]
         bag = self.record.bag
@@ -133,50 +133,50 @@ class FittedRows:
 
     @property
     def given(self) -> tuple[tuple[Effect, Values], ...]:
-        """What is part of every fit of these rows, with nonlinear values to begin with."""
+        """Effects that are part of every fit of these rows, with initial nonlinear values."""
         every = self.catalogue if self.source.by_current else ()
         return tuple((effect, effect.grid[0]) for effect in every if effect.given)
 
     @property
     def held(self) -> tuple[int, ...]:
-        """Numbers of the parameters that no fit can tell: by a current only stiffness times its constant."""
+        """Indices of unidentifiable parameters. Motor current shows only stiffness times torque constant."""
         return (COMPLIANCE,) if self.source.by_current else ()
 
     @cached_property
     def kept(self) -> ArrayCache:
-        """What was computed of these rows and may be needed again."""
+        """Cache of arrays computed for these rows."""
         return ArrayCache(_MOST_KEPT)
 
     @cached_property
     def revisits(self) -> Revisits:
-        """Fitted rows at which the drive is in the same state; none are known where no torque is measured."""
+        """Pairs of fitted rows at which the drive is in the same state; none if no torque is measured."""
         return revisits(self._motion) if self.record.has_torque else NEVER
 
     @cached_property
     def count_steps(self) -> tuple[float, float]:
-        """Steps of the input's encoder, at the output, and of the output's [rad]; see :func:`count_steps`."""
+        """Count steps of the input encoder, at the output, and of the output encoder [rad]; 0: none found."""
         return count_steps(self.record, self.configured.kinematics.ratio)
 
     @property
     def counted(self) -> float:
-        """Rms of the rounding of both encoders to their counts [rad]."""
+        """Rms quantisation error of both encoders together [rad]."""
         return rounding(math.hypot(*self.count_steps))
 
     def noise_of(self, residual: Floats) -> MeasuredNoise:
-        """Noise of a residual of the fitted rows [rad], shape (n,), whatever misfit is in it."""
+        """Noise in a residual (n,) [rad] of the fitted rows, even if the residual contains misfit."""
         return measured_noise(residual, self.record.time, self.run, self.revisits, self.counted)
 
     def whitening_of(self, residual: Floats, fitted: Floats) -> Whitening:
-        """Noise model from what orthonormal columns leave at the fitted rows: it may be more than noise."""
+        """Noise model from the residual of orthonormal columns, or from passes if it exceeds their noise."""
         known = self.passes(residual)
         if known is None or float(np.std(residual)) < _MISFIT * known.rms:
             return whitening(residual, self.run, fitted)
         return whitening_of(known.covariance)
 
     def passes(self, residual: Floats) -> PassNoise | None:
-        """Noise as passes of the same states measure it, the least that is known; None where they do not.
+        """Least noise measured by repeated passes of the same states; None if no states repeat.
 
-        What a model leaves out differs between passes too, so that a better model or more rows show less.
+        The model's error differs between passes as well, so a better model or more rows give less noise.
         """
         noise = self.noise_of(residual)
         if not noise.repeated or (self.known is not None and (noise.vague or self.known.rms < noise.rms)):
@@ -184,7 +184,7 @@ class FittedRows:
         return PassNoise(noise.rms, measured_covariance(residual, self.run, self.revisits, noise))
 
     def signals(self, parameters: Floats) -> Signals:
-        """Of the fitted rows at parameters in units of `fit_parameters.units`; the latest are kept."""
+        """Signals of the fitted rows at parameters in units of `fit_parameters.units`; the latest cached."""
         known, key = self._signals, parameters.tobytes()
         part = known.pop(key) if key in known else self.model.at(parameters).signals.part(self.at)
         known[key] = part
@@ -193,7 +193,7 @@ class FittedRows:
         return part
 
     def testable(self, effect: Effect) -> tuple[bool, str]:
-        """Whether the motion allows to find an effect; if not, which extra motion would."""
+        """Whether the motion can show an effect; if not, which extra motion would."""
         if effect.name not in self._testable:
             self._testable[effect.name] = effect.testable(self._motion)
         return self._testable[effect.name]
@@ -203,7 +203,7 @@ class FittedRows:
         return self._starts(effect).points
 
     def trials(self, effect: Effect) -> int:
-        """Number of places among which an effect is looked for."""
+        """Number of places at which an effect is looked for, at least 1."""
         return max(self._starts(effect).trials, 1)
 
     def _starts(self, effect: Effect) -> Starts:
@@ -212,7 +212,7 @@ class FittedRows:
         return self._grids[effect.name]
 
     def grid_step(self, effect: Effect, point: Values) -> Floats:
-        """Step of the grid about a point, in each nonlinear value; a usual size where all are one."""
+        """Grid step about a point in each nonlinear value; a usual size if the grid has one value only."""
         found = []
         for quantity, place, column in zip(
             effect.nonlinear, point, zip(*self.grid(effect), strict=True), strict=True
@@ -224,7 +224,7 @@ class FittedRows:
 
     @cached_property
     def smooth(self) -> Floats:
-        """What any cause may look like at the fitted rows: low orders, powers of torque, speed; (n, k)."""
+        """Columns (n, k) that imitate smooth causes: low orders, powers of the torque, torque times speed."""
         s = self._motion
         theta, turned = s.wave_generator_angle, s.wave_generator_angle + s.output_angle
         load = s.torque / max(float(np.max(np.abs(s.torque))), 1e-9)
@@ -237,5 +237,5 @@ class FittedRows:
 
     @cached_property
     def _motion(self) -> Signals:
-        """At whatever parameters, for what is asked of the motion alone."""
+        """Signals at any cached parameters, for questions about the motion only."""
         return self.model.motion.part(self.at)

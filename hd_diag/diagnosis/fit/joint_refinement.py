@@ -1,4 +1,4 @@
-"""Steps of a fit: the model's parameters, with the coefficients and nonlinear values of the causes."""
+"""Joint steps of a fit: the model's parameters, and the coefficients and nonlinear values of the causes."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from hd_diag.effects.effect import Effect, Stage
 _ROUNDS = 8
 _SHORTER = 3  # halvings of a step that makes the fit worse
 _SHARES = (1.0, 0.3, 0.1)  # of a step, tried in turn until one makes the fit no worse
-_WORSE = 1.05  # times the deviance before, that a step may leave on its way
-_LONGEST, _CLEARLY = 8.0, 1.3  # times a step, that it may fall short; from where a longer one is tried
+_WORSE = 1.05  # times the deviance before, allowed after a full step
+_LONGEST, _CLEARLY = 8.0, 1.3  # largest factor that lengthens a step; factor above which it is tried
 _LINEAR = 1.0  # standard deviations; the model is linear over such steps
-_SINGULAR = 1e-12  # of the greatest variance, that every direction has at least
-_SIDE = 0.975  # of a distribution, below the upper end of a 95 % interval
-_SETTLED = 0.05  # deviance; what a further round could gain
+_SINGULAR = 1e-12  # least variance of any direction, relative to the greatest
+_SIDE = 0.975  # quantile at the upper end of a 95 % interval
+_SETTLED = 0.05  # gain in deviance below which rounds end
 
 
 def settle(fit: LinearisedFit, chosen: Chosen, rounds: int = 3, learn: bool = True) -> LinearisedFit:
-    """Move the model to the best parameters beside the chosen effects: Gauss-Newton on all rows.
+    """Move the model to the best parameters given the chosen effects: Gauss-Newton on all rows.
 
     Parameters
     ----------
@@ -35,12 +35,12 @@ def settle(fit: LinearisedFit, chosen: Chosen, rounds: int = 3, learn: bool = Tr
     chosen : sequence of (Effect, nonlinear values)
     rounds : int
     learn : bool
-        Whether to learn the noise anew first; it hardly changes with small steps.
+        Whether to learn the noise again first; it hardly changes with small steps.
 
     Returns
     -------
     LinearisedFit
-        At the parameters found, beside the chosen effects.
+        At the parameters found, with the chosen effects present.
     """
     if learn:
         fit = fit.with_noise(chosen)
@@ -52,7 +52,7 @@ def settle(fit: LinearisedFit, chosen: Chosen, rounds: int = 3, learn: bool = Tr
         away = step / np.sqrt(np.diag(covariance)[own] + 1e-12)
         longer = _longer(away, last, taken) if taken and not fit.data.given else fit.longer
         last = away
-        # The fit itself still adds a step this small, linearly.
+        # The linear fit itself covers a step this small.
         if longer * np.max(np.abs(away)) < _LINEAR:
             break
         trial, share = _stepped_by(fit, chosen, beta, longer)
@@ -65,7 +65,10 @@ def settle(fit: LinearisedFit, chosen: Chosen, rounds: int = 3, learn: bool = Tr
 def _stepped_by(
     fit: LinearisedFit, chosen: Chosen, beta: Floats, longer: float
 ) -> tuple[LinearisedFit, float]:
-    """After the longest share of a step of all coefficients that makes the fit no worse; else the same."""
+    """The fit after the longest share of a step that makes it no worse, and the share; else as it was, 0.
+
+    A full step may make it worse by the factor `_WORSE`.
+    """
     before, start = fit.cost(chosen), fit.at_present(chosen, beta)
     for share in (longer, *_SHARES) if longer > _CLEARLY else _SHARES:
         part = start + share * (beta - start)
@@ -77,10 +80,10 @@ def _stepped_by(
 
 
 def _longer(step: Floats, before: Floats, taken: float) -> float:
-    """By how much a step falls short, from how little the one before, so many times as long, made it shorter.
+    """Factor by which a step falls short, from its ratio to the step before, which was `taken` times as long.
 
-    What causes are at full size changes with the parameters, which no column knows: where both imitate each
-    other each step is a share of the way (Aitken's acceleration of a series that converges linearly).
+    The full-size response of causes changes with the parameters, and no column shows this. If both imitate
+    each other, a step covers a share of the way (Aitken's acceleration of a linearly converging series).
     """
     left = float(step @ before) / float(before @ before)
     return float(np.clip(taken / max(1.0 - left, 1e-9), 1.0, _LONGEST))
@@ -111,7 +114,7 @@ def polished(fit: LinearisedFit, chosen: Chosen, rounds: int = _ROUNDS) -> tuple
 
 
 def slopes(fit: LinearisedFit, chosen: Chosen) -> Floats:
-    """What the effects change by their free nonlinear values.
+    """Derivatives of the effects' parts by their free nonlinear values.
 
     Parameters
     ----------
@@ -136,16 +139,16 @@ def slopes(fit: LinearisedFit, chosen: Chosen) -> Floats:
 
 
 def covariance(fit: LinearisedFit, chosen: Chosen) -> tuple[Floats, list[npt.NDArray[np.int64]]]:
-    """Covariance of all that is fitted, the free nonlinear values included.
+    """Covariance of all fitted values, including the free nonlinear ones.
 
-    By the scatter of blocks of the record, or of recordings, where that is more than the noise model has it.
+    It is that of the noise model, or larger where blocks of the record or recordings scatter more.
 
     Returns
     -------
     covariance : ndarray, shape (k, k)
         Model, offset, coefficients effect by effect, then nonlinear values effect by effect.
     places : list of ndarray
-        For every effect the rows of its own coefficients and then of its nonlinear values; -1: not free.
+        For every effect the indices of its own coefficients, then of its nonlinear values; -1: not free.
     """
     linear = fit.places(chosen)
     last, places = linear[-1].stop if linear else 0, []
@@ -162,8 +165,8 @@ def covariance(fit: LinearisedFit, chosen: Chosen) -> tuple[Floats, list[npt.NDA
 def _wider(fit: LinearisedFit, beta: Floats, spread: Floats, built: Design) -> Floats:
     """Deviations by scatter (sandwich estimate) over those of the noise model, at least the misfit.
 
-    The scatter of blocks, more for being of few (Student's t), or that of recordings, which are alike within:
-    the greater of both.
+    The greater of two scatters counts: that of blocks, raised because they are few (Student's t), and that
+    of recordings, whose blocks are correlated.
     """
     scatter = (built.moment - built.gram @ beta) @ spread
     bags, number = np.unique(fit.data.bag_of_block, return_inverse=True)
@@ -180,18 +183,18 @@ def _wider(fit: LinearisedFit, beta: Floats, spread: Floats, built: Design) -> F
 
 
 def sensible(fit: LinearisedFit, chosen: Chosen) -> list[bool]:
-    """Of each effect whether it is itself at the size that fits, and not another cause's shape."""
+    """For each effect, whether it is plausible at its fitted size, and not the shape of another cause."""
     sized = fit.sized(chosen, fit.fit(chosen)[0])
     return [effect.sensible(own[: effect.size], nonlinear) for (effect, nonlinear), own in sized]
 
 
 def free(effect: Effect) -> list[int]:
-    """Numbers of the nonlinear values that any real number may be."""
+    """Indices of the continuous nonlinear values."""
     return [index for index, quantity in enumerate(effect.nonlinear) if not quantity.discrete]
 
 
 def _stepped(fit: LinearisedFit, chosen: Chosen, before: float) -> tuple[LinearisedFit, Chosen]:
-    """Nonlinear values after one step; as they were if none helps."""
+    """The fit and its effects after one step of the nonlinear values; as they were if no step helps."""
     columns = slopes(fit, chosen)
     if not columns.shape[1]:
         return fit, chosen
@@ -208,7 +211,7 @@ def _stepped(fit: LinearisedFit, chosen: Chosen, before: float) -> tuple[Lineari
 
 
 def _within(chosen: Chosen, step: Floats, spread: Floats) -> Floats:
-    """The best step of the free values (k,) of covariance (k, k) by which none leaves its range."""
+    """The best step of the free values (k,), with covariance (k, k), that keeps each in its range."""
     room = [
         (q.fitted[0] - at, q.fitted[1] - at)
         for effect, values in chosen

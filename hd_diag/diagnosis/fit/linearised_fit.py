@@ -1,4 +1,4 @@
-"""A record linearised about a drive and the causes beside it: columns of a fit, and the fit itself."""
+"""A record linearised about a drive and its causes: columns of a fit, and the fit itself."""
 
 from __future__ import annotations
 
@@ -29,23 +29,23 @@ from hd_diag.effects.mesh_torque import MeshTorque
 from hd_diag.effects.scaling import of_drive
 from hd_diag.effects.signals import Signals
 
-_HELD = 1e12  # precision of what is held, in units of `fit_parameters.units`
-_WIDENINGS, _AS_WIDE = 4, 1.1  # of slopes, at most; growth of a deviation that nobody would notice
+_HELD = 1e12  # precision of held parameters, in units of `fit_parameters.units`
+_WIDENINGS, _AS_WIDE = 4, 1.1  # most rounds; they end when every deviation grows by less than this factor
 _WHITE = Whitening(np.zeros(ORDER), 1.0)
 
 # Effects with their nonlinear values.
 Chosen = tuple[Item, ...]
 
-# Coefficients, covariance, normal equations, numbers of the parameters that lie on a bound.
+# Coefficients, covariance, normal equations, indices of the parameters on a bound.
 _Solution = tuple[Floats, Floats, Design, Integers]
 
 
 @dataclass(frozen=True, eq=False)
 class LinearisedFit:
-    """Everything that a fit needs at some parameters, beside some effects at their size.
+    """Everything that a fit needs at some parameters, with some effects present at their size.
 
-    It never changes: what corrects, moves or whitens it returns another one. All fits of the same rows share
-    what was computed.
+    It is immutable: methods that correct, move or whiten it return a new one. All fits of the same rows share
+    cached results.
 
     Parameters
     ----------
@@ -55,17 +55,17 @@ class LinearisedFit:
     whiten : Whitening
         Noise model.
     present : tuple
-        Effects that it is linearised beside: what they are at full size beyond their columns is no longer in
+        Effects present in the linearisation. Their full-size response beyond their columns is subtracted from
         the residual, and effects of later stages carry what earlier ones add.
     held : tuple of int
-        Numbers of parameters that stay where they are, beside those that the record cannot tell.
+        Indices of parameters that stay where they are, besides those that the record cannot identify.
     misfit : float
-        What the chosen effects leave over the noise, by a motor's current: so much more its priors weigh, for
-        what is not noise says nothing about what the motor takes.
+        Residual of the chosen effects over the noise, for torque from motor current; else 1. Its square
+        scales the prior precision: misfit says nothing about the motor's own torque.
     longer : float
-        How many times a step of the parameters falls short, as the last ones showed.
+        Factor by which steps of the parameters fall short, estimated from the last steps.
     reach : ndarray, shape (p, p), optional
-        Steps of the parameters, in columns, over which slopes are taken; local ones without.
+        Steps of the parameters, in columns, over which slopes are averaged; None for local slopes.
     """
 
     data: FittedRows
@@ -78,15 +78,15 @@ class LinearisedFit:
     reach: Floats | None = None
 
     def moved(self, parameters: Floats) -> LinearisedFit:
-        """The same rows and noise, linearised elsewhere, beside a motor alone."""
+        """The same rows and noise, linearised elsewhere; only the motor's effects stay present."""
         return replace(self, parameters=parameters, present=self._motor, reach=None)
 
     def widened(self, chosen: Chosen) -> LinearisedFit:
-        """With slopes on average over what the record leaves open.
+        """The fit with slopes averaged over the range of the parameters that the record leaves open.
 
-        Local ones change within it, wherever a pair of teeth comes into load, and would pass for knowledge
-        of parameters which a remainder of the torque makes up for. Steps are those of a cubature rule
-        (Arasaratnam and Haykin, IEEE Trans. Automatic Control 54, 2009).
+        Local slopes change within this range wherever a pair of teeth comes into load. They would make
+        parameters look certain which a remainder of the torque can replace. Steps are those of a cubature
+        rule (Arasaratnam and Haykin, IEEE Trans. Automatic Control 54, 2009).
         """
         fit, size = self, self.parameters.size
         free = np.setdiff1d(np.arange(size), self._all_held)
@@ -109,42 +109,45 @@ class LinearisedFit:
         return self if data is self.data else replace(self, data=data, present=self._motor)
 
     def in_record(self, record: Record, rows: npt.NDArray[np.bool_]) -> LinearisedFit:
-        """On rows (n,) of another record of the same joint, whose noise is known; beside nothing."""
+        """A fit on rows (n,) of another record of the same joint, with known noise; no effect is present."""
         model = RecordModel(record, self.data.configured, self.work)
         data = FittedRows(model, usable(record) & rows, self.data.catalogue, self.data.known)
         return LinearisedFit(data, self.parameters)
 
     def on(self, rows: npt.NDArray[np.bool_]) -> LinearisedFit:
-        """On other rows (n,) of the record, their noise not known yet; as :meth:`moved`."""
+        """A fit on other rows (n,) of the record, their noise not known yet; as :meth:`moved`."""
         return replace(self, data=self.data.on(rows), whiten=_WHITE, misfit=1.0, present=self._motor)
 
     @property
     def _motor(self) -> Sized:
-        """What is given of the present effects."""
+        """Present effects of the motor, which are part of every fit."""
         return tuple(one for one in self.present if one[0][0].given)
 
     def with_noise(self, chosen: Chosen, richer: bool = True) -> LinearisedFit:
-        """Whitened by the residual of a model rich enough to leave only noise, or by all that this leaves."""
+        """The fit whitened by the residual of the chosen effects and, if `richer`, of flexible columns.
+
+        With flexible columns the residual contains only noise.
+        """
         (rest, fitted), misfit = self._beyond(chosen, *([self.flexible()] if richer else [])), 1.0
         if richer and self.data.given:
             misfit = float(np.std(self._beyond(chosen)[0]) / max(float(np.std(rest)), 1e-300))
         return replace(self, whiten=self.data.whitening_of(rest, fitted), misfit=misfit)
 
     def passed(self) -> LinearisedFit:
-        """With noise as passes of its rows measure it, known to all fits of them."""
+        """The fit with the noise that repeated passes measure, known to all fits of these rows."""
         known = self.data.passes(self._beyond((), self.flexible())[0])
         return replace(self, data=replace(self.data, known=known))
 
     def _beyond(self, chosen: Chosen, *more: Floats) -> tuple[Floats, Floats]:
-        """The residual (n,) [rad] beyond what every fit carries, some effects and more columns (n, k).
+        """Residual (n,) [rad] with columns projected out, and these columns, orthonormal.
 
-        With it these columns, orthonormal.
+        The columns are those that every fit carries, those of some effects, and `more` (n, k).
         """
         wide = orthonormal(np.concatenate((self.always(), self.joined(chosen), *more), axis=1))
         return np.asarray(self.residual - wide @ (wide.T @ self.residual)), wide
 
     def flexible(self) -> Floats:
-        """Columns by which any cause leaves hardly more than noise, (n, k)."""
+        """Columns (n, k) that can imitate any cause, so that hardly more than noise remains."""
         broadband = []
         for effect in self.data.searched:
             if effect.broadband and self.data.testable(effect)[0]:
@@ -153,7 +156,7 @@ class LinearisedFit:
         return np.concatenate((self.data.smooth, *broadband), axis=1)
 
     def corrected(self, chosen: Chosen) -> LinearisedFit:
-        """Beside the chosen effects at the size that fits; the same fit holds there if all are plain."""
+        """The fit with chosen effects present at their fitted size. If all are plain its solution stays."""
         solution = self._fit(chosen)
         found = self.beside(self.sized(chosen, solution[0]))
         if all(plain(effect) for effect, _ in (*chosen, *(item for item, _ in self.present))):
@@ -161,11 +164,11 @@ class LinearisedFit:
         return found
 
     def beside(self, sized: Sized) -> LinearisedFit:
-        """Linearised beside effects of given coefficients."""
+        """The fit with effects present at given coefficients."""
         return replace(self, present=sized)
 
     def recentred(self) -> LinearisedFit:
-        """The same about the torque that a present motor leaves for the link."""
+        """The fit about the link torque: the record's, corrected by the present effects of the motor."""
         data = self.data
         torques = mesh_torques(data.model, self.parameters, self._motor)
         if not torques.causes or torques.near:
@@ -175,47 +178,47 @@ class LinearisedFit:
         return replace(self, data=FittedRows(model, data.mask, data.catalogue, data.known))
 
     def sized(self, chosen: Chosen, beta: Floats) -> Sized:
-        """The chosen effects with their coefficients out of a fit's."""
+        """The chosen effects, each with its coefficients from a fit's."""
         return tuple((item, beta[place]) for item, place in zip(chosen, self.places(chosen), strict=True))
 
     @property
     def work(self) -> Work:
-        """What all fits of the record are a part of."""
+        """The work that all fits of the record belong to."""
         return self.data.model.work
 
     @property
     def drive(self) -> Drive:
-        """At the parameters."""
+        """The drive at the parameters."""
         return self.signals.contact.drive
 
     @cached_property
     def effects(self) -> PresentEffects:
-        """Those it is linearised beside."""
+        """The effects present in the linearisation."""
         return PresentEffects(self.data, self.parameters, self.present)
 
     @property
     def whole(self) -> Signals:
-        """Of all rows."""
+        """Signals of all rows."""
         return self.effects.whole
 
     @property
     def signals(self) -> Signals:
-        """Of the fitted rows."""
+        """Signals of the fitted rows."""
         return self.effects.signals
 
     @property
     def _all_held(self) -> list[int]:
-        """Parameters held by this fit or by all fits of the record."""
+        """Indices of parameters held by this fit or by all fits of the record."""
         return [*self.held, *self.data.held]
 
     @cached_property
     def residual(self) -> Floats:
-        """Measured less predicted error and what present effects are beyond their columns [rad], (n,)."""
+        """Measured less predicted error, less present effects beyond their columns [rad], (n,)."""
         return self.effects.residual
 
     @cached_property
     def jacobian(self) -> Floats:
-        """Derivatives by the parameters, zero for those that are held, (n, p)."""
+        """Derivatives by the parameters, zero for held ones, (n, p)."""
         found = self.effects.jacobian(self.reach).copy()
         found[:, self._all_held] = 0.0
         return found
@@ -226,7 +229,7 @@ class LinearisedFit:
 
     @cached_property
     def always_white(self) -> Floats:
-        """The same whitened."""
+        """These columns whitened."""
         return self.whiten(self.always(), self.data.run)
 
     @cached_property
@@ -235,9 +238,9 @@ class LinearisedFit:
         return self.whiten(self.residual, self.data.run)
 
     def roughly(self, effect: Effect) -> LinearisedFit:
-        """Where an effect that has yet to be chosen is looked for: at nearby parameters, if teeth make it.
+        """The fit in which to look for an effect: at nearby parameters if the effect comes from the teeth.
 
-        Which pairs bear how much there is known; what is chosen has columns of its own.
+        Load sharing is cached there. Once chosen, the effect gets columns of its own.
         """
         return self._near if effect.of_teeth or effect.stage == Stage.SPRING else self
 
@@ -247,11 +250,11 @@ class LinearisedFit:
         return self if parameters is self.parameters else replace(self, parameters=parameters)
 
     def columns(self, effect: Effect, nonlinear: Values) -> Floats:
-        """Columns of an effect, shape (n, k) [rad per unit]; of a present one those that hold at its size."""
+        """Columns of an effect, shape (n, k) [rad per unit]; of a present one, the slopes at its size."""
         return self.effects.columns(effect, nonlinear)
 
     def white(self, effect: Effect, nonlinear: Values, keep: bool = True) -> Floats:
-        """Whitened columns of an effect; OutOfTime where there is none left for them."""
+        """Whitened columns of an effect, cached if `keep`; raises OutOfTime if there is no more time."""
         self.work.check()
         if not keep:
             return self.whiten(self.effects.new_columns(effect, nonlinear), self.data.run)
@@ -273,19 +276,19 @@ class LinearisedFit:
         return np.concatenate([np.empty((self.data.at.size, 0)), *parts], axis=1)
 
     def places(self, chosen: Chosen) -> list[slice]:
-        """Where the coefficients of every chosen effect stand in a fit."""
+        """Slice of each chosen effect's coefficients in a fit."""
         edges = np.cumsum([self.always_white.shape[1], *map(self._count, chosen)])
         return [slice(first, last) for first, last in pairwise(edges.tolist())]
 
     def _count(self, item: Item) -> int:
-        """Columns of an effect: the rows decide, not the parameters."""
+        """Number of columns of an effect. It depends on the rows, not on the parameters."""
         known, key = self.data.counts, (item[0].name, item[1])
         if key not in known:
             known[key] = self.columns(*item).shape[1]
         return known[key]
 
     def torsion(self, beta: Floats) -> Floats:
-        """What datum and compliances of a fit, by its coefficients (k,), do beyond the configured, (n,)."""
+        """Error by a fit's datum and compliances less the configured ones [rad], (n,); `beta` is (k,)."""
         configured = fit_parameters.vector(self.data.configured, self.data.configured)
         step = self.parameters + beta[: self.parameters.size] - configured
         return np.asarray(self.jacobian[:, TORSION] @ step[TORSION])
@@ -296,9 +299,9 @@ class LinearisedFit:
         return np.asarray(self.residual - columns @ self.fit(chosen)[0])
 
     def part(self, effect: Effect, nonlinear: Values, coefficients: Floats) -> Floats:
-        """An effect's part in the error where it is fitted [rad], (n,).
+        """An effect's part in the error at the fitted rows [rad], (n,).
 
-        Of another torque, along the whole record: most of it is near zero torque, which no fit uses.
+        If the effect adds torque, at all rows: most of its part is near zero torque, and no fit uses these.
         """
         if isinstance(effect, MeshTorque):
             beside = mesh_torques(self.data.model, self.parameters, self._motor)
@@ -316,24 +319,24 @@ class LinearisedFit:
     def design(self, chosen: Chosen, more: Floats | None = None) -> Design:
         """Normal equations of [model, offset, effects, more] against the residual.
 
-        A parameter that the fit puts on a bound stays there, as it does in the fit.
+        A parameter that the fit puts on a bound is fixed there, as in the fit.
         """
         beta, _, built, held = self._fit(chosen, more)
         return built.holding(held, beta[held])
 
     def deviance(self, chosen: Chosen, more: Floats | None = None) -> float:
-        """What a fit of the same leaves, in units of the noise."""
+        """Residual sum of squares of such a fit with that of the prior, in units of the noise."""
         return self.design(chosen, more).deviance()
 
     def cost(self, chosen: Chosen) -> float:
-        """Deviance where it is linearised, with the chosen effects as they are present; zeros are free."""
+        """Deviance at the linearisation, with the chosen effects as present; encoder zeros are free."""
         beta, _, built, _ = self._fit(chosen)
         values = self.at_present(chosen, beta)
         fixed = np.delete(np.arange(beta.size), np.r_[self.parameters.size : self.always_white.shape[1]])
         return built.deviance_at(fixed, values[fixed])
 
     def at_present(self, chosen: Chosen, beta: Floats) -> Floats:
-        """Coefficients (k,) where it is linearised: no steps, effects as present; zeros as in others (k,)."""
+        """Coefficients (k,) at the linearisation: no steps, present effects, encoder zeros of `beta`."""
         values, known = beta.copy(), dict(self.present)
         values[: self.parameters.size] = 0.0
         for item, place in zip(chosen, self.places(chosen), strict=True):
@@ -341,7 +344,7 @@ class LinearisedFit:
         return values
 
     def on_bounds(self, chosen: Chosen) -> tuple[Integers, Floats]:
-        """Numbers of the parameters that a fit puts on a bound, and its steps to there."""
+        """Indices of the parameters that a fit puts on a bound, and its steps to the bound."""
         beta, _, _, held = self._fit(chosen)
         return held, beta[held]
 
@@ -374,7 +377,7 @@ class LinearisedFit:
         return beta, covariance, built, held
 
     def _wandering(self, chosen: Chosen) -> Integers:
-        """Numbers of the columns by which chosen effects wander."""
+        """Indices of the columns that let chosen effects wander."""
         found = [np.empty(0, np.int64)]
         for (effect, nonlinear), place in zip(chosen, self.places(chosen), strict=True):
             if effect.wanders(nonlinear):
@@ -382,9 +385,9 @@ class LinearisedFit:
         return np.concatenate(found)
 
     def prior(self, chosen: Chosen) -> tuple[Floats, Floats]:
-        """Precision of the coefficients of [model, offset, effects], and where they are drawn to; (k,) each.
+        """Prior precision of the coefficients of [model, offset, effects], and its centre; (k,) each.
 
-        The model's are drawn to the prior of a drive, those of effects by their `reach`.
+        The model's have the prior of a drive, those of an effect have its `reach` as standard deviation.
         """
         places = self.places(chosen)
         center, width = fit_parameters.prior(self.data.configured)
@@ -394,7 +397,7 @@ class LinearisedFit:
         precision[self._all_held], pull[self._all_held] = _HELD, 0.0
         for (effect, _), place in zip(chosen, places, strict=True):
             if effect.standard:
-                precision[place] = 1.0 / self.misfit**2  # not more where a motor's current leaves a misfit
+                precision[place] = 1.0 / self.misfit**2  # cancels the misfit: no larger for a remainder
                 continue
             precision[place.start : place.start + effect.size] = effect.reach**-2.0
         return precision * self.misfit**2, pull
@@ -410,9 +413,9 @@ def linearise(
 ) -> LinearisedFit:
     """A record linearised about a drive, its noise not known yet; see :class:`FittedRows`.
 
-    Of parameters (p,) in units of `fit_parameters.units`, on some rows (n,) where the error is well defined,
-    on all of these without; a part of some work, or of work that may take as long as it does. What is usual
-    of the catalogue is scaled to the drive.
+    `parameters` (p,) are in units of `fit_parameters.units`. Of `rows` (n,), by default all, it uses those
+    where the error is well defined. Without `work` there is no time limit. Usual sizes of the catalogue are
+    scaled to the drive.
     """
     found = usable(record)
     mask = found if rows is None else found & rows

@@ -1,4 +1,4 @@
-"""Torque that causes add to the reported one along a record, and what the model does under it."""
+"""Torque that causes add to the reported one along a record, and the model's response to it."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from hd_diag.effects.mesh_torque import MeshTorque
 from hd_diag.effects.scaling import unit_scales
 from hd_diag.effects.signals import Signals
 
-_STEEPEST = 1e-2  # [rad/(N m)], of a rated torque of 56 N m; no joint that bears is a hundredth as soft
-_SEPARABLE = 5e-3  # of the rated torque: changes of it within which derivatives are not told apart
-_NEAR = 0.02  # of the rated torque, the same of what a motor takes of its current's
+_STEEPEST = 1e-2  # [rad/(N m)], rated torque 56 N m; no loaded joint has a hundredth of this compliance
+_SEPARABLE = 5e-3  # of the rated torque: derivatives are reused for smaller changes of the torque
+_NEAR = 0.02  # of the rated torque: the same for the motor's own torque
 
 # Causes with their nonlinear values and coefficients.
 Torques = tuple[tuple[tuple[MeshTorque, Values], Floats], ...]
@@ -26,7 +26,7 @@ Torques = tuple[tuple[tuple[MeshTorque, Values], Floats], ...]
 
 @dataclass(frozen=True, eq=False)
 class MeshTorques:
-    """Causes that change the torque in the mesh, at their size; all arrays are of all rows of the record.
+    """Causes that change the torque in the mesh, at their size. All arrays cover all rows of the record.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class MeshTorques:
         Of the model, in units of `fit_parameters.units`.
     causes : tuple
     as_taken : bool
-        Whether a motor takes what the record's torque is less by already, beside the causes.
+        Whether the motor takes, in addition to the causes, exactly what is subtracted from the record.
     """
 
     model: RecordModel
@@ -45,7 +45,7 @@ class MeshTorques:
 
     @cached_property
     def more(self) -> Floats:
-        """Real less the record's torque [N m], shape (n,)."""
+        """Real torque less the record's torque [N m], shape (n,)."""
         taken = self.model.record.taken
         total = np.zeros(self.model.record.size) if taken is None or self.as_taken else -taken
         for (effect, nonlinear), coefficients in self.causes:
@@ -54,25 +54,25 @@ class MeshTorques:
 
     @cached_property
     def error(self) -> Floats:
-        """What the model does under it beside its own error [rad], shape (n,)."""
+        """Change of the model's error by this torque [rad], shape (n,)."""
         return np.zeros(self.model.record.size) if self._none else self._under[0]
 
     @cached_property
     def slope(self) -> Floats:
-        """The model's derivative by the torque under it [rad/(N m)], shape (n,)."""
+        """The model's derivative by the torque, under this torque [rad/(N m)], shape (n,)."""
         nearby = self._nearby
         steep = self._whole.predicted_torque_slope if nearby._none else nearby._under[1]
         most = _STEEPEST * unit_scales(self.model.configured)["rad/(N m)"]
-        return np.where(np.abs(steep) < most, steep, 0.0)  # without end in the gap between the flanks
+        return np.where(np.abs(steep) < most, steep, 0.0)  # infinite in the gap between the flanks
 
     @property
     def slope_key(self) -> Hashable:
-        """What the derivative by the torque depends on."""
+        """Cache key of the derivative by the torque."""
         return self._nearby.key
 
     @cached_property
     def rounded(self) -> MeshTorques:
-        """The same causes at sizes that hardly change the model's derivatives: these are costly."""
+        """The causes at rounded sizes, so that the model's costly derivatives can be reused."""
         step, found = _SEPARABLE * self.model.configured.rated_torque, []
         for (effect, nonlinear), coefficients in self.causes:
             if effect.given and self.near:
@@ -83,7 +83,7 @@ class MeshTorques:
 
     @cached_property
     def near(self) -> bool:
-        """Whether a motor takes about what the record's torque is less by."""
+        """Whether the motor's own torque is about the torque that is subtracted from the record."""
         if self.model.record.taken is None:
             return False
         motor = replace(self, causes=tuple(one for one in self.causes if one[0][0].given))
@@ -91,18 +91,18 @@ class MeshTorques:
 
     @property
     def key(self) -> Hashable:
-        """Which causes, at which sizes."""
+        """Cache key: the causes and their sizes."""
         own = tuple((effect.name, nonlinear, one.tobytes()) for (effect, nonlinear), one in self.causes)
         return (self.as_taken, *own)
 
     def derivatives(self, reach: Floats | None = None) -> Floats:
-        """Of the model by its parameters under it, (n, p); over steps of them, columns of `reach` (p, p)."""
+        """The model's derivatives by its parameters, (n, p); averaged over steps, the columns of `reach`."""
         if reach is None:
             return self.model.derivatives(self.parameters, self.more)
         return self.model.secants(self.parameters, self.more, reach)
 
     def columns(self, effect: MeshTorque, nonlinear: Values) -> Floats:
-        """Of a cause beside these [rad per unit], shape (n, size); of one of these at its size."""
+        """Columns of a cause given these causes [rad per unit], (n, size); at its size if among them."""
         torque = self.model.torque(effect, nonlinear)
         for item, coefficients in self.causes:
             if item == (effect, nonlinear):
@@ -110,13 +110,13 @@ class MeshTorques:
         return np.asarray(self.slope[:, None] * torque)
 
     def beside(self, effect: MeshTorque, nonlinear: Values, coefficients: Floats) -> Floats:
-        """What a cause of some size does beside these, itself left out [rad], shape (n,)."""
+        """Part of a cause of some size in the error, given the other causes [rad], shape (n,)."""
         others = replace(self, causes=tuple(one for one in self.causes if one[0][0].name != effect.name))
         both = replace(others, causes=(*others.causes, ((effect, nonlinear), coefficients)))
         return np.asarray(both.error - others.error)
 
     def signals(self) -> Signals:
-        """The record as what comes behind sees it: the mesh bears it, with the model's own error under it."""
+        """The record as later stages see it: the torque that the mesh bears, the model's error under it."""
         if self._none:
             return self._whole
         error = self._whole.predicted + self.error
@@ -129,7 +129,7 @@ class MeshTorques:
 
     @property
     def _nearby(self) -> MeshTorques:
-        """Where the derivative is taken: with a motor's current nearby, for every fit moves its friction."""
+        """Torque at which the slope is taken; rounded with motor current, as every fit moves its friction."""
         return self if self.model.record.taken is None else self.rounded
 
     @property
@@ -138,7 +138,7 @@ class MeshTorques:
 
     @property
     def _under(self) -> Floats:
-        """What the model does under it beside its own error [rad]; its derivative by the torque; (2, n)."""
+        """Change of the model's error by this torque [rad], and its derivative by the torque; (2, n)."""
 
         def under() -> Floats:
             error, slope = self.model.under(self.parameters, self.more)
@@ -150,6 +150,6 @@ class MeshTorques:
 def mesh_torques(
     model: RecordModel, parameters: Floats, sized: Iterable[tuple[tuple[Effect, Values], Any]]
 ) -> MeshTorques:
-    """Of the effects among some that are torque; see :class:`MeshTorques`."""
+    """The effects that add torque, among some; see :class:`MeshTorques`."""
     causes = [((e, nonlinear), one) for (e, nonlinear), one in sized if isinstance(e, MeshTorque)]
     return MeshTorques(model, parameters, tuple(causes))

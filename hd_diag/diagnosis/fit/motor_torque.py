@@ -1,4 +1,4 @@
-"""The link's torque by a motor's current: less what the motor itself takes, before any cause is sought."""
+"""Link torque from motor current: the motor's own torque is subtracted before any cause is sought."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ def less_motor(
     catalogue: Catalogue,
     work: Work,
 ) -> tuple[LinearisedFit, Refit]:
-    """A record of the torque that is left for the link, linearised about what the motor takes, and the refit.
+    """A record with the link torque, linearised about the motor's own torque, and the refit that gave it.
 
-    What the motor takes is fitted with the parameters, nonlinear as it is: friction moves the torque at which
-    the flanks change. All fits that follow are about this torque, and correct it.
+    The motor's own torque and the parameters are fitted together, without linearisation: friction moves the
+    torque at which the flanks change. All later fits start from this torque and correct it.
 
     Parameters
     ----------
     record : Record
-        With the torque of a current.
+        With a torque computed from motor current.
     configured : Drive
     rows : ndarray of bool, shape (n,)
-        Which may be fitted.
+        Rows that may be fitted.
     rng : numpy.random.Generator
-        Chooses the samples.
+        Draws the samples.
     catalogue : tuple of Effect
     work : Work
     """

@@ -1,4 +1,4 @@
-"""What effects do to a record beside each other: their columns at a point, and their full size."""
+"""Several effects in one record: their columns at a point, and their response at full size."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ Sized = tuple[tuple[Item, Floats], ...]
 
 
 def plain(effect: Effect) -> bool:
-    """Whether it is its columns times its coefficients, at any size and beside all others that are."""
+    """Whether an effect is its columns times its coefficients, at any size and with other plain effects."""
     return effect.proportional and not effect.own_slopes and effect.stage in (Stage.NOWHERE, Stage.GEAR)
 
 
 def names(chosen: tuple[Item, ...]) -> Hashable:
-    """Effects by their names, with their nonlinear values."""
+    """Names of effects with their nonlinear values, as a key."""
     return tuple((effect.name, nonlinear) for effect, nonlinear in chosen)
 
 
 @dataclass(frozen=True, eq=False)
 class PresentEffects:
-    """Effects of some size beside which a record is linearised.
+    """Effects that are present at some size while a record is linearised.
 
-    What they are at full size beyond their columns is no longer in the residual, and effects of later stages
+    Their full-size response beyond their columns is subtracted from the residual. Effects of later stages
     carry what earlier ones add.
 
     Parameters
@@ -52,20 +52,20 @@ class PresentEffects:
 
     @cached_property
     def whole(self) -> Signals:
-        """Of all rows."""
+        """Signals of all rows."""
         return self.data.model.at(self.parameters).signals
 
     @cached_property
     def signals(self) -> Signals:
-        """Of the fitted rows."""
+        """Signals of the fitted rows."""
         return self.data.signals(self.parameters)
 
     def kept(self, *key: Hashable, compute: Callable[[], Floats]) -> Floats:
-        """What was computed of the fitted rows, by names of its own."""
+        """An array of the fitted rows, cached under a key."""
         return self.data.kept.get(key, compute)
 
     def columns(self, effect: Effect, nonlinear: Values) -> Floats:
-        """Columns of an effect, shape (n, k) [rad per unit]; of a present one those that hold at its size."""
+        """Columns of an effect, shape (n, k) [rad per unit]; of a present one, the slopes at its size."""
         return self.kept(
             "columns", *self.context(effect, nonlinear), compute=lambda: self.new_columns(effect, nonlinear)
         )
@@ -78,8 +78,8 @@ class PresentEffects:
 
     @cached_property
     def residual(self) -> Floats:
-        """The same less what the present effects are at full size beyond their columns [rad], shape (n,)."""
-        # What is its columns and sees the record as it is reported cancels out.
+        """The same less the full-size response of present effects beyond their columns [rad], shape (n,)."""
+        # Plain effects without a stage cancel: they see the reported record, and equal their columns.
         more = tuple(one for one in self.present if not plain(one[0][0]) or one[0][0].stage != Stage.NOWHERE)
 
         def corrected() -> Floats:
@@ -89,9 +89,9 @@ class PresentEffects:
         return self.kept("residual", self._at, _key(more), compute=corrected)
 
     def jacobian(self, reach: Floats | None = None) -> Floats:
-        """Derivatives by the parameters, under the real torque, as later stages show them, (n, p).
+        """Derivatives by the parameters under the real torque, as later stages show them, (n, p).
 
-        On average over steps of the parameters where there are any: columns of `reach` (p, p).
+        They are averaged over steps of the parameters if `reach` (p, p) gives these in its columns.
         """
         rounded = self._torques.rounded
 
@@ -107,25 +107,25 @@ class PresentEffects:
         return self.parameters.tobytes()
 
     def torque(self, sized: Sized) -> Floats:
-        """What effects add to the torque in the mesh at all rows [N m]."""
+        """Torque that effects add in the mesh at all rows [N m], shape (n,)."""
         return mesh_torques(self.data.model, self.parameters, sized).more
 
     def possible_torques(self, sized: Sized) -> Floats:
-        """The same, and what is added beside each one left out, for its law may be another there; (n, k)."""
+        """Torque added by all effects, and without each sought one, whose law may be wrong; (n, k) [N m]."""
         sought = [one for one in sized if isinstance(one[0][0], MeshTorque) and not one[0][0].given]
         parts = [sized, *(tuple(other for other in sized if other is not one) for one in sought)]
         return np.column_stack([self.torque(part) for part in parts])
 
     def together(self, sized: Sized) -> Floats:
-        """Part of several effects in the error, torques added up before the mesh bears them; (n,) [rad]."""
+        """Part of several effects in the error [rad], (n,). Torques add up before the mesh bears them."""
         torques = mesh_torques(self.data.model, self.parameters, sized)
         rest = [self.full_size(*item, one) for item, one in sized if item[0].stage != Stage.TORQUE]
         return np.asarray(sum(rest, torques.error.take(self.data.at)))
 
     def full_size(self, effect: Effect, nonlinear: Values, coefficients: Floats) -> Floats:
-        """An effect's part in the error, contacts made and lost by it included, shape (n,) [rad].
+        """An effect's part in the error, including contacts made and lost, shape (n,) [rad].
 
-        Coefficients beyond its own are of what it wanders by. A torque is added to those present.
+        Coefficients beyond its own belong to its wandering. A torque is added to those present.
         """
         if isinstance(effect, MeshTorque):
             return self._torques.beside(effect, nonlinear, coefficients).take(self.data.at)
@@ -134,7 +134,7 @@ class PresentEffects:
         return np.nan_to_num(effect.response(self._there(effect, self._borne), coefficients, nonlinear))
 
     def _of_all_rows(self, effect: Effect, nonlinear: Values, coefficients: Floats) -> Floats:
-        """The same at all rows, of what is no torque."""
+        """The part at all rows of an effect that adds no torque."""
         own = effect.size if effect.wanders(nonlinear) else coefficients.size
         found = effect.response(self._seen(effect.stage), coefficients[:own], nonlinear)
         if own < coefficients.size:
@@ -143,24 +143,24 @@ class PresentEffects:
 
     @cached_property
     def _borne(self) -> Signals:
-        """Of all rows, under the torque that the mesh bears."""
+        """Signals of all rows, under the torque that the mesh bears."""
         return self._torques.signals()
 
     @cached_property
     def _borne_roughly(self) -> Signals:
-        """The same without its prediction, for columns: costly, and hardly changed by small torques."""
+        """The same for columns, prediction not updated: this is costly, and small torques hardly matter."""
         causes = self._torques.rounded
         return self.whole.bearing(self.whole.torque + causes.more) if causes.more.any() else self.whole
 
     def _there(self, effect: Effect, borne: Signals) -> Signals:
-        """Of the fitted rows what an effect sees: what no stage has sees the record as it is reported."""
+        """Signals of the fitted rows as an effect sees them; before the gear, it sees the reported record."""
         if effect.stage < Stage.GEAR or borne is self.whole:
             return self.signals
         return borne.part(self.data.at)
 
     @cached_property
     def _torques(self) -> MeshTorques:
-        """Of the present effects."""
+        """Torques of the present effects in the mesh."""
         return mesh_torques(self.data.model, self.parameters, self.present)
 
     @cached_property
@@ -174,7 +174,7 @@ class PresentEffects:
         return tuple(one for one in self.present if one[0][0].stage > Stage.GEAR)
 
     def context(self, effect: Effect, nonlinear: Values) -> tuple[Hashable, ...]:
-        """What the columns of an effect depend on: where the motion makes them, not on the parameters."""
+        """Cache key of an effect's columns; without the parameters if the motion alone makes the columns."""
         own = tuple(one for one in self._before if one[0] == (effect, nonlinear))
         seen: dict[Stage, Hashable] = {
             Stage.TORQUE: (self._torques.slope_key, _key(own + self._later)),
@@ -188,18 +188,18 @@ class PresentEffects:
         return effect.name, nonlinear, at, seen.get(effect.stage), own_size
 
     def _of_motion(self, effect: Effect) -> bool:
-        """Whether neither contact nor prediction is in its columns."""
+        """Whether the columns depend on neither contact nor prediction."""
         apart = effect.stage in (Stage.NOWHERE, Stage.GEAR) and not (effect.of_teeth or self._later)
         return apart and not any("predicted" in name for name in effect.needs)
 
     def _size_of(self, effect: Effect, nonlinear: Values) -> Floats | None:
-        """Coefficients at which its columns are taken, if it is present and they depend on its size."""
+        """Coefficients at which the columns are taken; None if it is absent or size does not matter."""
         if not effect.own_slopes or effect.stage == Stage.TORQUE:
             return None
         return next((one for item, one in self.present if item == (effect, nonlinear)), None)
 
     def new_columns(self, effect: Effect, nonlinear: Values) -> Floats:
-        """The same, not kept."""
+        """As `columns`, not cached."""
         if isinstance(effect, MeshTorque):
             columns = self._torques.columns(effect, nonlinear)
             return self._carried(columns, effect.stage, effect.of_teeth).take(self.data.at, axis=0)
@@ -218,7 +218,7 @@ class PresentEffects:
 
         if not self._sees_all(effect):
             return of(self._there(effect, self._borne_roughly))
-        if effect.of_teeth and size is None:  # they see no effect but torque, what carries them varies
+        if effect.of_teeth and size is None:  # only torque changes them; later stages vary
             key = (self._at, "whole", effect.name, nonlinear, self._torques.rounded.key)
             columns = self.data.model.kept.get(key, whole)
         else:
@@ -226,20 +226,20 @@ class PresentEffects:
         return self._carried(columns, effect.stage, effect.of_teeth).take(self.data.at, axis=0)
 
     def _carried(self, columns: Floats, stage: Stage, of_teeth: bool) -> Floats:
-        """With what later stages make of them, shape (rows of the whole, k)."""
+        """Columns with what later stages add to them, shape (rows of the whole, k)."""
         for (effect, nonlinear), coefficients in self._later:
             if effect.stage > stage and (of_teeth or effect.stage > Stage.SPRING):
                 columns = columns + effect.carry(self.whole, columns, coefficients, nonlinear)
         return columns
 
     def _sees_all(self, effect: Effect) -> bool:
-        """Whether it needs rows that are not fitted: they come before others."""
+        """Whether an effect, or one that carries it, depends on earlier rows: then it needs all rows."""
         if effect.remembers or effect.stage > Stage.GEAR or effect.wanders_by:
             return True
         return effect.stage == Stage.GEAR and bool(self._later)
 
     def _seen(self, stage: Stage) -> Signals:
-        """The whole record, as effects of a stage see it."""
+        """Signals of the whole record, as effects of a stage see them."""
         if stage < Stage.GEAR:
             return self.whole
         if stage == Stage.GEAR:

@@ -1,4 +1,4 @@
-"""The model along all rows of a record, whichever of them are fitted."""
+"""The model along all rows of a record, fitted or not."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from hd_diag.effects.mesh_torque import MeshTorque
 from hd_diag.effects.signals import Signals
 
 _MOST_KEPT = 64 << 20  # bytes
-_ALIKE = 2.0  # in their units, by which parameters may differ whose teeth bear alike
-_KNOWN = 3  # parameters, for a search that goes back to them
+_ALIKE = 2.0  # difference of parameters, in their units, within which load sharing is the same
+_KNOWN = 3  # cached points of the parameters: a search goes back to them
 
 
 class AtParameters(NamedTuple):
-    """The model at some parameters along a record: signals, derivatives (n, 7), and itself for any torque."""
+    """The model at some parameters along a record: signals, derivatives (n, p), the drive at any torque."""
 
     signals: Signals
     derivatives: Floats
@@ -38,15 +38,15 @@ class AtParameters(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RecordModel:
-    """A record and what the model does along it, computed once for all fits of any of its rows.
+    """A record and the model along it, computed once for all fits of any of its rows.
 
     Parameters
     ----------
     record : Record
-        All that is known: causes with memory go through every row of it.
+        All rows: causes with memory need every one.
     configured : Drive
     work : Work
-        What a new point of the parameters is a part of.
+        Its time is checked before the model is computed at new parameters.
     """
 
     record: Record
@@ -57,11 +57,11 @@ class RecordModel:
 
     @cached_property
     def kept(self) -> ArrayCache:
-        """What was computed of all rows and may be needed again."""
+        """Cache of arrays computed for all rows."""
         return ArrayCache(_MOST_KEPT)
 
     def at(self, parameters: Floats) -> AtParameters:
-        """The model at parameters in units of `fit_parameters.units`; the latest are kept."""
+        """The model at parameters in units of `fit_parameters.units`; the latest results are cached."""
         known, key = self._known, parameters.tobytes()
         known[key] = known.pop(key) if key in known else self._at(parameters)
         while len(known) > _KNOWN + len(self._near):
@@ -69,7 +69,7 @@ class RecordModel:
         return known[key]
 
     def near(self, parameters: Floats) -> Floats:
-        """Known parameters near some (p,); the same where none are."""
+        """Cached parameters near some (p,); if there are none, the given ones, which are then cached."""
         for one in self._near.values():
             if np.max(np.abs(np.delete(one - parameters, fit_parameters.CUP))) < _ALIKE:
                 return one
@@ -80,12 +80,12 @@ class RecordModel:
 
     @property
     def motion(self) -> Signals:
-        """At whatever parameters, for what is asked of the motion alone."""
+        """Signals at any cached parameters, for questions about the motion only."""
         known = next(iter(self._known.values()), None)
         return (known or self.at(fit_parameters.vector(self.configured, self.configured))).signals
 
     def torque(self, effect: MeshTorque, nonlinear: Values) -> Floats:
-        """What an effect adds to the torque at all rows [N m per unit], shape (n, size)."""
+        """Torque that an effect adds at all rows [N m per unit], shape (n, size)."""
 
         def torque() -> Floats:
             record, width = self.record, self.record.torque_window
@@ -109,7 +109,7 @@ class RecordModel:
         return self.kept.get(("greatest torque", effect.name, nonlinear), greatest)
 
     def derivatives(self, parameters: Floats, shift: Floats) -> Floats:
-        """Of the model by its parameters at all rows, under a torque more by a shift (n,) [N m]; (n, 7)."""
+        """The model's derivatives by its parameters at all rows, (n, p); `shift` (n,) adds torque [N m]."""
         if not shift.any():
             return self.at(parameters).derivatives
         return self.at(parameters).along(self.record.torque + shift)[1]
@@ -117,15 +117,15 @@ class RecordModel:
     def under(self, parameters: Floats, shift: Floats) -> tuple[Floats, Floats]:
         """Transmission error at all rows [rad] and its derivative by the torque [rad/(N m)], (n,) each.
 
-        Under a torque more by a shift (n,) [N m].
+        `shift` (n,) adds torque [N m].
         """
         error, _, slope = self.at(parameters).along(self.record.torque + shift)
         return error, slope
 
     def secants(self, parameters: Floats, shift: Floats, reach: Floats) -> Floats:
-        """As `derivatives`, on average over steps to both sides: columns of `reach` (p, p), in their units.
+        """As `derivatives`, averaged over steps to both sides: columns of `reach` (p, p), in parameter units.
 
-        Where a pair of teeth comes into load the slope changes. A step ends where no drive can be beyond.
+        The slope changes where a pair of teeth comes into load. Steps end at the bounds of the parameters.
         """
         local, torque = self.derivatives(parameters, shift), self.record.torque + shift
         bent = np.zeros((local.shape[0], reach.shape[1]))
@@ -144,11 +144,11 @@ class RecordModel:
         return DriveAlong(drive, self.configured, record.input_angle, record.torque)
 
     def rate(self, values: Floats) -> Floats:
-        """Derivative by time of values at all rows, run by run."""
+        """Time derivative of values (n,) at all rows, run by run."""
         if self.record.size < 2:
             return np.zeros(self.record.size)
         first, end = np.array(bounds(self.record.run)).T
-        with np.errstate(divide="ignore", invalid="ignore"):  # between runs, which comes to nothing
+        with np.errstate(divide="ignore", invalid="ignore"):  # between runs, overwritten below
             rate = np.gradient(values, self.record.time)
             step = np.diff(values) / np.diff(self.record.time)
         long = end - first > 2

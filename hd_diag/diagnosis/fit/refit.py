@@ -17,39 +17,39 @@ from hd_diag.diagnosis.stamps import usual_step
 from hd_diag.drive import Drive
 from hd_diag.effects.mesh_torque import MeshTorque
 
-# Rounds of the search: samples, steps of a fit, starts that go on to the next round. Each round can only
-# mistake starts that are as good as equal, and a fit of all rows follows.
+# Rounds of the search: samples, steps of a fit, starts kept for the next round. A round can only confuse
+# starts that are nearly equal, and a fit of all rows follows.
 _ROUNDS = ((250, 5, 5), (700, 5, 2), (1500, 8, 2))
-_HOPELESS = 2.0  # times the best deviance, beyond which a start is not followed any further
-_STEPS = 1  # of a pitch, of the model: a fit of all rows follows
-_FIRST_NOISE, _LEAST_NOISE = 2e-5, 1e-6  # of the residual [rad]; each round takes that of the one before
-_STILL, _STEADY = 0.02, 0.02  # of the usual top speed, and of the torque's range: a rest
-_SETTLING = 0.05  # [s] of a rest that count
-_GAP = 0.01  # of the usual greatest torque, under which it may be within the gap
-_CERTAIN = 3.0  # standard deviations of a torque, beyond which it is known on which flank it acts
-_ENOUGH = 0.1  # of the samples, that must be certain
-_OFFSET = 0.03  # prior width of the torque's zero, of the rated torque
-_MOST_OFF = 3.0  # prior widths
+_HOPELESS = 2.0  # times the best deviance, beyond which a start is dropped
+_STEPS = 1  # of the model per tooth pitch: a fit of all rows follows
+_FIRST_NOISE, _LEAST_NOISE = 2e-5, 1e-6  # [rad]; later rounds take the residual of the round before
+_STILL, _STEADY = 0.02, 0.02  # of the usual top speed, and of the torque's range: below both is rest
+_SETTLING = 0.05  # [s] at either end of a rest that stay in the fit
+_GAP = 0.01  # of the usual greatest torque, below which the torque may be within the gap
+_CERTAIN = 3.0  # standard deviations of a torque, beyond which its flank is certain
+_ENOUGH = 0.1  # least share of the samples that must be certain
+_OFFSET = 0.03  # prior width of the torque's zero, relative to the rated torque
+_MOST_OFF = 3.0  # prior widths, the limit of the torque's zero and of the motor's terms
 _DAMPINGS = 6  # tried before a fit gives up
-_HELD = 1e-6  # prior width of what is not fitted
-_DATUMS = (-6.0, 3.0, 12.0)  # from the configured one, to begin with beside a friction
-_SETTLED = 0.1  # deviance; smaller steps are left to the fit of all rows
-_LEANING, _LEANT = 7.0, 2  # units of tilt, to begin with; points of the first round that are tilted
-_SECTIONS = 3  # of a search, at most
+_HELD = 1e-6  # prior width of a parameter that is not fitted
+_DATUMS = (-6.0, 3.0, 12.0)  # starts relative to the configured datum, when friction is fitted too
+_SETTLED = 0.1  # gain in deviance that ends a fit; the fit of all rows does the rest
+_LEANING, _LEANT = 7.0, 2  # start value in units of tilt; best points of the first round that are tilted
+_SECTIONS = 3  # most sections in a search
 _NEAR = np.array(
     [1.0, 1.0, 1.0, 1.0, 3.0, 0.5, 0.7, 2.0, 2.0]
-)  # by which parameters of the same drive may differ
+)  # differences of parameters within which two points are the same drive
 
 Starts = tuple[tuple[float, float], ...]
-_QUARTERS = (0.0, 0.25, 0.5, 0.75)  # of the directions that differ
+_QUARTERS = (0.0, 0.25, 0.5, 0.75)  # of the range of distinct directions
 FEW_STARTS: Starts = ((0.0, 0.0), *((10.0, turn) for turn in _QUARTERS))
 STARTS: Starts = ((0.0, 0.0), *((size, turn) for size in (6.0, 16.0) for turn in _QUARTERS))
 """Eccentricities that a search begins with: magnitude [um], direction [pi rad]."""
 
 DISTINCT = 12.0
-"""Difference of deviance that tells two minima apart."""
+"""Difference of deviance above which two minima are distinct."""
 AMBIGUOUS = "several sets fit about as well"
-"""Why parameters tell nothing of the drive."""
+"""A reason why the parameters say nothing about the drive."""
 
 
 @dataclass(frozen=True)
@@ -63,13 +63,13 @@ class Refit:
     parameters : ndarray, shape (p,)
         In the units of `fit_parameters.units`.
     covariance : ndarray, shape (p, p)
-        From the fit on independent samples; the final one is by `diagnosis`.
+        From the fit on independent samples; `diagnosis` computes the final one.
     doubt : str
-        Why the parameters tell nothing of the drive; empty where they do.
+        Why the parameters say nothing about the drive; empty if they do.
     taken : ndarray, shape (k,)
-        Coefficients of what a motor takes of its torque.
+        Coefficients of the motor's own torque.
     torque_zero : float
-        Real less reported torque, fitted beside [N m].
+        Fitted real less reported torque [N m].
     """
 
     drive: Drive
@@ -81,19 +81,19 @@ class Refit:
 
     @property
     def trustworthy(self) -> bool:
-        """Whether the parameters tell of the drive."""
+        """Whether the parameters describe the drive."""
         return not self.doubt
 
 
 class Motor(NamedTuple):
-    """What a motor takes of its current's torque: the effect, and its torque at the record's rows (n, k)."""
+    """The motor's own torque: the effect, and its torque at the record's rows [N m per unit], (n, k)."""
 
     effect: MeshTorque
     torque: Floats
 
 
 def nuisance(record: Record, ratio: float) -> Floats:
-    """Terms that any fit carries along: offsets, speed, its sign, temperature, one cycle per output turn.
+    """Free terms of every fit: offsets, speed, its sign, temperature, one cycle per output turn.
 
     Parameters
     ----------
@@ -126,31 +126,32 @@ def refit(
     starts: Starts = STARTS,
     motor: Motor | None = None,
 ) -> Refit:
-    """Fit the model's parameters from many starts, a wrong zero of the torque beside them.
+    """Fit the model's parameters from many starts, together with an offset of the torque.
 
-    By a current the teeth's compliance stays as configured: only its product with the constant shows.
+    With torque from motor current the tooth compliance stays as configured: only its product with the
+    motor's torque constant shows.
 
     Parameters
     ----------
     record : Record
     configured : Drive
     rng : numpy.random.Generator
-        Chooses the samples.
+        Draws the samples.
     extra : ndarray, shape (n, k), optional
-        Further columns that may take part freely: effects already found.
+        Further free columns: effects already found.
     start : ndarray, shape (p,), optional
-        One more start, where the fit is now: once all that is hopeful leads back to it, the search ends.
+        One more start, at the current fit. The search ends once all hopeful starts lead back to it.
     starts : sequence of (float, float)
         Eccentricities to begin with: magnitude [um], direction [pi rad].
     motor : Motor, optional
-        What is fitted of the torque itself.
+        The motor's own torque, which is fitted too.
 
     Returns
     -------
     Refit
     """
     if configured.mesh.geometry.sections > 1 and starts is STARTS:
-        starts = FEW_STARTS  # each costs as many times more
+        starts = FEW_STARTS  # the cost of each grows with the sections
     free = nuisance(record, configured.kinematics.ratio)
     if extra is not None:
         free = np.concatenate((free, extra), axis=1)
@@ -185,14 +186,14 @@ def refit(
 def usable(record: Record, shift: Floats | float = 0.0) -> npt.NDArray[np.bool_]:
     """Samples where the model's error is well defined and new: moving, or under a torque that changes.
 
-    Near zero torque its noise decides the flank; where it does nearly everywhere, those samples stay. At rest
-    an encoder repeats one count: many samples are one.
+    Near zero torque the noise of the torque decides the flank. Such samples are excluded, unless less than a
+    tenth would remain. At rest an encoder repeats one count, so many samples say no more than one.
 
     Parameters
     ----------
     record : Record
     shift : ndarray, shape (n,) or (n, k), or float
-        Real less reported torque [N m], where that is known; k ways that it may be.
+        Real less reported torque [N m], if it is known; k columns for k possibilities.
 
     Returns
     -------
@@ -210,7 +211,7 @@ def usable(record: Record, shift: Floats | float = 0.0) -> npt.NDArray[np.bool_]
 
 
 def _resting(record: Record) -> npt.NDArray[np.bool_]:
-    """Samples well within a rest of both motion and torque."""
+    """Samples well inside a rest of both motion and torque."""
     if record.size < 2:
         return np.zeros(record.size, dtype=np.bool_)
     lag = max(round(_SETTLING / max(usual_step(record.time), 1e-6)), 1)
@@ -232,7 +233,7 @@ def _starts(configured: Drive, start: Floats | None, starts: Starts) -> list[Flo
 
 
 def _leaning(point: Floats, configured: Drive) -> list[Floats]:
-    """Where there are sections a point tilted in each direction: near none no slope leads."""
+    """A point tilted in each direction, for a drive with sections: at zero tilt the slopes vanish."""
     points = list[Floats]()
     if fit_parameters.count(configured) > TILT.start:
         turn = 2.0 * np.pi if configured.mesh.geometry.cup_length else np.pi  # a ring's ends are alike
@@ -243,7 +244,7 @@ def _leaning(point: Floats, configured: Drive) -> list[Floats]:
 
 
 def _of_motor(points: list[Floats], record: Record, motor: Motor) -> list[Floats]:
-    """Starts with friction as the current has it both ways through the same place, and with other datums."""
+    """Starts with the motor's friction, from the current both ways through each place, at several datums."""
     place, taken = record.output_angle, motor.torque[:, 1:]
     waves = [f(order * place) for order in (1.0, 2.0) for f in (np.cos, np.sin)]
     columns = np.column_stack((taken, *waves, np.ones(record.size)))
@@ -259,14 +260,14 @@ def _of_motor(points: list[Floats], record: Record, motor: Motor) -> list[Floats
 
 
 def _coarse(configured: Drive) -> Drive:
-    """A drive with no more sections than a search needs."""
+    """The drive with as few sections as a search needs."""
     mesh = configured.mesh
     geometry = replace(mesh.geometry, sections=min(mesh.geometry.sections, _SECTIONS))
     return replace(configured, mesh=replace(mesh, geometry=geometry))
 
 
 class _Problem:
-    """Least squares of the transmission error on some rows, free columns projected out, prior included."""
+    """Least squares of the transmission error on some rows: free columns projected out, prior included."""
 
     def __init__(
         self,
@@ -292,7 +293,7 @@ class _Problem:
         self.noise = noise
 
     def admissible(self, point: Floats) -> Floats:
-        """What a drive can have; the torque's offset in widths of its prior; what a motor takes."""
+        """A point moved into bounds: the drive's parameters, the torque's zero and the current's gain."""
         found = np.zeros(self.center.size)
         found[: point.size] = point
         found[: self.own] = fit_parameters.admissible(point[: self.own], self.configured)
@@ -357,24 +358,26 @@ def _levenberg(problem: _Problem, point: Floats, iterations: int) -> tuple[Float
 
 
 def _apart(point: Floats, other: Floats, covariance: Floats, configured: Drive) -> float:
-    """Deviance by which another drive should be worse, were there one minimum only; lobes swapped or not."""
+    """Deviance by which another drive would be worse if there were one minimum; least of its equivalents."""
     away = [each - point for each in alike(other, configured)]
     return min(float(step @ np.linalg.solve(covariance, step)) for step in away)
 
 
 def distinct(points: list[Floats], configured: Drive | None = None) -> list[Floats]:
-    """Points that are not the same drive: lobes swapped count as the same, with the drive a ring's ends too.
+    """Points that are distinct drives. Swapped lobes count as the same drive.
+
+    With `configured`, swapped ends of a ring do as well.
 
     Parameters
     ----------
     points : list of ndarray, shape (p,)
-        In the units of `fit_parameters.units`; with the drive there may be more, which is not compared.
+        In the units of `fit_parameters.units`; with `configured`, further entries are not compared.
     configured : Drive, optional
 
     Returns
     -------
     list of ndarray
-        The first of every kind.
+        The first point of every distinct drive.
     """
     found: list[Floats] = []
     for point in points:
