@@ -1,4 +1,4 @@
-"""A joint's error as a catalogue states it: peak to peak over an output turn, without torsion and friction."""
+"""A joint's error as in a catalogue: peak to peak over an output turn, without torsion and friction."""
 
 from __future__ import annotations
 
@@ -193,7 +193,7 @@ class _Fit:
         return np.asarray(inverse(gram + self._prior) @ moment)
 
     def peak_to_peak(self) -> tuple[float, float]:
-        """Peak to peak of the waves' sum without the noise's contribution, and its standard deviation [rad]."""
+        """Peak to peak of the waves' sum, corrected for noise, and its standard deviation [rad]."""
         if not self._gram.shape[1]:
             return 0.0, 0.0
         whole = self.coefficients(_EVERY)
