@@ -54,7 +54,7 @@ def outliers(error: Floats, bag: Integers, least: float = 0.0, together: int = 1
 
 
 def _spikes(values: Floats, least: float, apart: int) -> Rows:
-    """Mask of samples above or below both neighbours, and more than `least` off the cubic through four.
+    """Mask of samples above or below both neighbours, and far (by `least`) off the cubic through four.
 
     Neighbours are `apart` samples away, so that a group of outliers fits between them. The cubic follows the
     gear's ripple, which a running median would cut. A flank change is a step, and exceeds only one neighbour.
