@@ -37,7 +37,7 @@ _USUAL = {
     "output_runout": _DISC,  # a flange's; no record can distinguish it from the disc's
     "output_encoder_interpolation": _DISC,
 }
-"""Largest values that a new joint may have; for waves, of the first amplitude."""
+"""Largest values that a new joint may have; of several waves, the first one counts."""
 
 _FRICTION = ("coulomb_windup", "viscous_windup")
 """Causes that are usual up to the effect's usual size. Chosen: two per cent of the rated torque (1 N m in a
