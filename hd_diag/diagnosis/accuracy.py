@@ -39,7 +39,7 @@ _WITHOUT_ONE = 1.0 - np.eye(_STRETCHES)
 # A median is not smooth, so its deviation needs a hundred half samples (Shao and Wu, Ann. Stat. 17, 1989).
 _HALF = list(combinations(range(_STRETCHES), _STRETCHES // 2))[::9]
 _HALVES = [_WITHOUT_ONE[list(some)].min(axis=0) for some in _HALF]
-_KNOTS = 10  # of the torsion's shape, at quantiles of the torque
+_KNOTS = 10  # knots of the torsion's shape, at quantiles of the torque
 _REACHES = (0.03, 0.1, 0.3)  # torque changes over which hysteresis sticks, over the rated torque
 _PLACES = 72  # bins of an output turn
 _EIGHT = 8.0  # squared peak to peak of a wave over its mean square
@@ -198,7 +198,7 @@ class _Fit:
             return 0.0, 0.0
         whole = self.coefficients(_EVERY)
         found = np.stack([self.coefficients(weight) for weight in _WITHOUT_ONE])
-        spread = (_STRETCHES - 1.0) * np.cov(found, rowvar=False, ddof=0)  # by the jackknife
+        spread = (_STRETCHES - 1.0) * np.cov(found, rowvar=False, ddof=0)  # jackknife covariance
         square, noise = (np.repeat(one.reshape(-1, 2).sum(axis=1), 2) for one in (whole**2, np.diag(spread)))
         plain, more = square > _PLAIN * noise, float(np.sum(self._square * spread))
         sizes = [self._size(weight, plain, more) for weight in _HALVES]

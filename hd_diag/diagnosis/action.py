@@ -20,7 +20,7 @@ RED, GREY, AMBER, GREEN = LIGHTS = ("red", "not_judged", "amber", "green")
 """Traffic lights of joints, the worst first: an unknown state is worse than one near its limit."""
 
 _SERIOUS = ("tooth_skip",)  # findings about the gear; all others are about signals
-_MOST_REASONS = 3  # in one line
+_MOST_REASONS = 3  # reasons in one line
 _CERTAIN = 0.999  # highest probability that is stated
 _NO_TORQUE = ", because its torque is not measured"
 _CHECK = "Check ratio, units, signs, clock and torque first"
@@ -86,10 +86,10 @@ def _reasons(answer: Answer) -> Iterator[Reason]:
         likely = hint.standing.probability
         if not is_usual(hint):
             yield Reason("watch", f"{names_of(hint)}, not proven", likely if likely < NAMED else math.nan)
-    noticed = 0.5 * NOTICED * found.configured.accuracy  # to either side
+    noticed = 0.5 * NOTICED * found.configured.accuracy  # half of a peak-to-peak value
     for one in found.larger:
         if one.effect in ORDERS and answer.normal is not None and answer.normal.within:
-            continue  # it is part of the error that the catalogue allows
+            continue  # the catalogue's accuracy includes it
         if one.largest > noticed:
             yield Reason("watch", f"{function_in_words(one)} is larger than usual")
     for line in found.unexplained:

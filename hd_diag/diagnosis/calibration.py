@@ -15,7 +15,7 @@ PRESENT = math.log(0.02)
 """Prior log odds of each cause: some twenty are known, and one joint in a few has any."""
 
 LARGER = math.log(0.05)
-"""Prior log odds of each half decade by which a remainder exceeds its usual size, without any cause."""
+"""Prior log odds of each half decade by which a remainder exceeds its usual size. It needs no cause."""
 
 LARGER_LINE = math.log(0.5)
 """The same for a line at an order of the input. Chosen: each half decade is half as likely. Joints in the
@@ -80,7 +80,7 @@ MOST_ALIKE = 5
 
 UNPROVED = 10.0
 """A cause that the motion cannot show joins the class of a better fitting cause if its log odds are lower by
-less than this. Its form is not known more precisely."""
+less than this, because its form is known no better."""
 
 DISAGREEING = 0.1
 """Blocks that a cause makes worse may hold this share of the predicted gain; the blocks still agree."""
@@ -90,12 +90,12 @@ FORETOLD = (0.5, 2.0)
 a block gains nothing. The upper limit was chosen as the inverse."""
 
 MISFIT = 1.3
-"""Ratio of the held-out residual to the noise above which the model misfits. Chosen: records give their own
-noise to within ten or twenty per cent."""
+"""Ratio of the held-out residual to the noise above which the model misfits. Chosen above the uncertainty of
+ten or twenty per cent with which records determine their noise."""
 
 WORSE = 1.02
-"""Ratio of residuals above which a running model with causes is worse than the parameters alone. Chosen:
-equivalent models differ by about a thousandth."""
+"""Ratio of residuals above which a running model with causes is worse than the parameters alone. Chosen above
+the thousandth or so by which equivalent models differ."""
 
 MORE = 1.15
 """A misfit is also suspected if its interval's lower end exceeds this and its upper end exceeds `MISFIT`. At

@@ -38,7 +38,7 @@ from hd_diag.effects.effect import Stage
 from hd_diag.extended_model import ExtendedModel
 from hd_diag.formatting import words
 
-_ROUNDING = 1e-12  # of an error [rad]
+_ROUNDING = 1e-12  # rounding error of a transmission error [rad]
 _SIZED_ROWS = 2000  # rows that measure the effect of a parameter group
 _SEARCHED_ROWS = 6_000  # rows of a search; more cost time and resolve large effects no better
 _TESTED = 0.9  # share of the time limit at which the detectability test must end

@@ -15,8 +15,8 @@ from hd_diag.diagnosis.stamps import usual_step
 from hd_diag.model.transmission_error import Kinematics
 
 _KNOTS = 5.0  # spacing of a drift's knots [s]
-_MOST_KNOTS = 60  # of a record
-_MEMORY = 0.25  # of a filter of positions [s]
+_MOST_KNOTS = 60  # knots in a record
+_MEMORY = 0.25  # longest memory of a position filter [s]
 _TAPS = 30
 _SLOW = 1.0  # smoothing window that removes slow parts [s]
 _MOST_ROWS = 120_000

@@ -25,8 +25,8 @@ _BY_TORSION = 1.2  # least ramp over the one from torsion, which a noisy torque 
 _LESS = 0.999  # ratio of residuals; two columns reduce it less by chance
 _PARTS = 6
 _CLUSTERS = 60
-_MOST_ROWS = 20_000  # of the fit of ramps
-_INPUT_ORDERS = (1, 2, 4)  # of waves that any gear may have
+_MOST_ROWS = 20_000  # rows in the fit of ramps
+_INPUT_ORDERS = (1, 2, 4)  # orders of waves that any gear may have
 _STEP, _WIDTH = 0.25, 15  # least step, in tooth pitches, over so many rows
 _WHOLE = 0.05  # tolerance of a step of whole teeth [tooth pitches]
 _MOST_STEPS = 20  # the search for steps ends beyond this number
@@ -192,7 +192,7 @@ def find_steps(
     Returns
     -------
     correction : ndarray, shape (n,)
-        To be subtracted from the output angle [rad].
+        Steps to subtract from the output angle [rad].
     findings : list of Finding
     """
     error = record.output_angle - record.input_angle / ratio

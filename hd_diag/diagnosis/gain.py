@@ -334,7 +334,8 @@ def _nominal_residual(record: Record, configured: Drive) -> Floats:
 def _residual_of(fit: LinearisedFit, trained: LinearisedFit, chosen: Chosen) -> Floats:
     """Residual of all rows of a fit [rad], with coefficients from a fit to some rows.
 
-    The model excludes unmodelled terms, and the columns by which a cause wanders, although both are fitted.
+    The model excludes unmodelled terms, effects that do not last, and the columns by which a cause wanders,
+    although all of them are fitted.
     """
     beta, _, _ = trained.fit(chosen)
     own = fit.parameters.size  # without encoder zeros, which belong to the rows of each fit

@@ -30,7 +30,7 @@ _LOOP = "hysteresis"
 _ENCODER = 600.0 * ARCSEC  # input encoder: tolerance in a resolver's data sheet
 _DISC = 10.0 * ARCSEC  # output encoder: a disc of 100 mm mounted to 2.5 um
 _USUAL = {
-    _LOOP: 0.5 * USUAL_LOOP,  # to either side
+    _LOOP: 0.5 * USUAL_LOOP,  # half of a peak-to-peak value
     "input_encoder_eccentricity": _ENCODER,
     "encoder_interpolation": _ENCODER,
     "output_encoder_eccentricity": _DISC,
@@ -63,7 +63,7 @@ def is_usual(cause: Cause) -> bool:
 
 
 def _size(effect: Effect, coefficients: Floats) -> tuple[float, Floats]:
-    """Sum of a loop's two parts, or amplitude of a wave's cosine and sine; and its gradient (2,)."""
+    """Sum of a loop's two absolute parts, or amplitude of a wave's cosine and sine; its gradient (2,)."""
     own = coefficients[:2]
     norm = 1 if effect.name == _LOOP else 2
     value = float(np.linalg.norm(own, norm))

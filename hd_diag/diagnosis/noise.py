@@ -26,7 +26,7 @@ class Whitening:
     Attributes
     ----------
     coefficients : ndarray, shape (ORDER,)
-        a_k.
+        The values a_k.
     scale : float
         Standard deviation of w [rad].
     slow, kept : float

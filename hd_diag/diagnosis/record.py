@@ -32,7 +32,7 @@ _PAUSE = 0.2  # shortest rest that ends a run [s]
 _THROUGH = 0.8 * 2.0 * np.pi  # travel of a complete input turn, as its end rows may be missing [rad]
 _SLOW = 0.02  # speed range of friction's reversal, over the top speed [-]
 _REST_SPEED = 0.02  # highest speed at rest, over the 95th percentile of the record's speed [-]
-_BITS = range(10, 25)  # of encoders
+_BITS = range(10, 25)  # encoder resolutions that are recognised
 _COUNTS_MISS = 0.01  # tolerance of the factor between counts and radians, relative
 GAP_STEPS = 5.5
 """A step this many times the usual one is a gap: state and filters restart."""
@@ -130,7 +130,7 @@ class Record:
         return np.asarray(np.tanh(self.speed / (_SLOW * self.top_speed)))
 
     def less_motor(self, taken: Floats) -> Record:
-        """The record with its torque plus `taken` (n,), minus the motor's own share [N m]."""
+        """The record with `taken` (n,) added to its reported torque: minus the motor's own share [N m]."""
         return replace(self, torque=self.by_sensor + taken, taken=taken)
 
     @property
@@ -193,7 +193,7 @@ def prepare(
     ratio : float
         Reported input angle over reported output angle [-].
     assumed_torque : float
-        Used where no torque was measured [N m].
+        Torque if none was measured [N m].
     by_current, by_velocity, stamps
         As in `Record`. A clock that is set back within a recording begins a new one.
 
@@ -245,7 +245,7 @@ def prepare(
     _check_whole(columns["segment"])
     _check_motion(columns["input_angle"], columns["output_angle"], ratio)
     turned, followed = (float(np.ptp(columns[name])) for name in ("input_angle", "output_angle"))
-    if not encoder_bits(turned / max(abs(ratio) * followed, 1e-300)):  # a finding tells these better
+    if not encoder_bits(turned / max(abs(ratio) * followed, 1e-300)):  # the ratio check reports counts better
         check_speed(columns["time"], columns["input_angle"], columns["segment"])
     time, load, heat, segment = (columns.pop(n) for n in ("time", "torque", "temperature", "segment"))
     step, time = usual_step(time), without_jitter(time, columns["input_angle"], segment)

@@ -44,7 +44,7 @@ _MUCH = 0.02  # a larger slope over the angle means a wrong ratio
 _LEAST_TORSION = 0.02  # least range of the torque, over the rated torque
 _OTHER_UNIT = 4.0  # torsion over the configured one; no wrong stiffness explains more
 _WRONG_SIGN = -0.3  # torsion over the configured one
-_LEAST_REACH, _REACH_WITHOUT_TORQUE = 0.3, 1.5  # of the output [rad]
+_LEAST_REACH, _REACH_WITHOUT_TORQUE = 0.3, 1.5  # least output travel [rad]
 _PARTNER_MISS = 0.15  # tolerance of the slope between a ratio and its partner, relative
 _FULL_TURN = 360.0
 _DEGREES, _DEGREES_MISS = 180.0 / math.pi, 0.3  # torsion over the configured one; its relative tolerance
@@ -88,7 +88,7 @@ def screened(record: Record, configured: Drive, limit: int = LIMIT) -> Screened:
     correction, steps = find_steps(record, ratio, pitch, torsion if teeth and record.has_torque else None)
     if steps:
         record = replace(record, output_angle=record.output_angle - correction)
-    del correction  # a column of an hour is 30 MB
+    del correction  # one hour takes 30 MB per column
     record = subsample(record, limit)
     torque = _wrong_torque(record, configured) if teeth else None
     ramp = None if record.by_velocity else check_ramp(record, ratio)

@@ -30,9 +30,9 @@ def smooth(values: Floats, segment: Integers, step: float, width: float | Floats
     ----------
     values : ndarray, shape (n,) or (n, k)
     segment : ndarray of int64, shape (n,)
-        Number of the stretch without a gap that a sample belongs to, ascending.
+        Number of the gap-free stretch of each sample, ascending.
     step : float
-        Between samples [s].
+        Time between samples [s].
     width : float, or ndarray, shape (n,)
         Window [s], one for all values or one for each.
     """
@@ -191,7 +191,7 @@ def _window(size: int, step: float, width: float) -> int:
 def _by_segment(
     values: Floats, segment: Integers, function: Callable[[Floats], Floats], step: float, width: float
 ) -> Floats:
-    """Values after a `function` of a width [s] is applied to every segment."""
+    """Values after a filter `function` with a `width` [s], segment by segment."""
     result = np.empty_like(values)
     filtered(result, segment, lambda rows: function(values[rows]), _window(segment.size, step, width))
     return result

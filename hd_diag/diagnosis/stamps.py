@@ -27,7 +27,7 @@ LONGEST_TURN = 3600.0
 _PARTS = (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))  # of a second
 _MOVED = 0.1  # travel below which a speed is noise [rad]
 _CLOCK_WINDOW = 0.5  # time over which a clock runs evenly [s]
-_LEAST_JITTER = 1e-3  # of the usual step
+_LEAST_JITTER = 1e-3  # rms, over the usual step
 _BETWEEN = 0.5  # share of the jitter in the angle below which sampling was even
 
 
@@ -48,7 +48,7 @@ def without_jitter(time: Floats, angle: Floats, segment: Integers) -> Floats:
     time, angle : ndarray, shape (n,)
         Stamps [s], and an angle that moves [rad].
     segment : ndarray of int64, shape (n,)
-        Number of the stretch without a gap, ascending.
+        Number of the gap-free stretch of each sample, ascending.
     """
     step = usual_step(time)
     inside = np.diff(segment) == 0

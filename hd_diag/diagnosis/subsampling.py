@@ -63,7 +63,7 @@ def some_rows(record: Record, limit: int) -> Integers:
 
 
 def _cells(record: Record, most: int) -> list[tuple[int, int]]:
-    """First row and end of the cells, in order."""
+    """First row and end (exclusive) of about `most` cells, in order."""
     runs = bounds(record.run)
     if len(runs) > most:
         runs = [(0, record.size)]

@@ -45,11 +45,11 @@ def smoothed_torque(
     angle : ndarray, shape (n,)
         Input angle [rad].
     ratio : float
-        Input over output angle [-].
+        Input angle over output angle [-].
     segment : ndarray of int64, shape (n,)
-        Number of the stretch without a gap that a sample belongs to, ascending.
+        Number of the gap-free stretch of each sample, ascending.
     step : float
-        Between samples [s].
+        Time between samples [s].
     """
     some = judged(segment)
     sizes = _sizes(reported[some], angle[some], ratio, segment[some], step)

@@ -197,7 +197,7 @@ def _phase(value: complex) -> float:
     return float(-np.angle(value) % TURN)
 
 
-# Waves, and which of them stand out ---
+# Waves, and selection of the significant ones ---
 
 
 class _Column(NamedTuple):

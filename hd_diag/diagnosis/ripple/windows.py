@@ -23,7 +23,7 @@ _CELLS = 512  # averaging cells of a window
 _LEAST_SAMPLES = 4.0  # per period, and per degree of a window's smooth part
 _SLOW = 0.1  # of the top speed; friction is not smooth below
 _SPEED_WINDOW = 0.05  # [s]
-_DEGREE = 3  # of the smooth part, over position and over time
+_DEGREE = 3  # degree of the smooth part, over position and over time
 
 
 @dataclass(frozen=True)
