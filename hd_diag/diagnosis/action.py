@@ -17,17 +17,17 @@ from hd_diag.formatting import percent, si, size, words
 Action = Literal["nothing", "watch", "inspect"]
 
 RED, GREY, AMBER, GREEN = LIGHTS = ("red", "not_judged", "amber", "green")
-"""Of joints, the worst first: what is not known is worse than what is nearly too much."""
+"""Traffic lights of joints, the worst first: an unknown state is worse than one near its limit."""
 
-_SERIOUS = ("tooth_skip",)  # of the gear; other findings are about its signals
-_MOST_REASONS = 3  # in one line
-_CERTAIN = 0.999  # above which no digit is believed
+_SERIOUS = ("tooth_skip",)  # findings about the gear; all others are about signals
+_MOST_REASONS = 3  # reasons in one line
+_CERTAIN = 0.999  # highest probability that is stated
 _NO_TORQUE = ", because its torque is not measured"
 _CHECK = "Check ratio, units, signs, clock and torque first"
 
 
 class Reason(NamedTuple):
-    """What asks for an action, in words, and the probability that it is so; nan where none is known."""
+    """Reason for an action, in words, and its probability; nan if unknown."""
 
     action: Action
     text: str
@@ -38,9 +38,9 @@ class Reason(NamedTuple):
 
 
 class Advice(NamedTuple):
-    """An action, its traffic light, and one line that says what for and how sure.
+    """An action, its traffic light, and one line with the reasons and their probabilities.
 
-    The light is ``not_judged`` where nothing can be said of the joint: the action then is about the record.
+    The light is ``not_judged`` if the joint cannot be judged; the action is then about the record.
     """
 
     action: Action
@@ -54,7 +54,7 @@ def cannot_be_judged(reason: str, action: Action = "watch") -> Advice:
 
 
 def advice(answer: Answer) -> Advice:
-    """What to do: inspect what was found or is beyond a limit; watch what may be, or is not known."""
+    """What to do: inspect what was found or exceeds a limit; watch what is possible or unknown."""
     reasons = list(_reasons(answer))
     for finding in answer.diagnosis.findings:
         if finding.fatal:
@@ -72,7 +72,7 @@ def advice(answer: Answer) -> Advice:
 
 
 def _reasons(answer: Answer) -> Iterator[Reason]:
-    """Findings, limits, causes, hints, and what is larger than usual or unexplained and no line."""
+    """Findings, limits, causes, hints, larger than usual remainders, and unexplained parts without a line."""
     found = answer.diagnosis
     for finding in found.findings:
         yield Reason("inspect" if finding.name in _SERIOUS else "watch", finding.text)
@@ -86,10 +86,10 @@ def _reasons(answer: Answer) -> Iterator[Reason]:
         likely = hint.standing.probability
         if not is_usual(hint):
             yield Reason("watch", f"{names_of(hint)}, not proven", likely if likely < NAMED else math.nan)
-    noticed = 0.5 * NOTICED * found.configured.accuracy  # to either side
+    noticed = 0.5 * NOTICED * found.configured.accuracy  # half of a peak-to-peak value
     for one in found.larger:
         if one.effect in ORDERS and answer.normal is not None and answer.normal.within:
-            continue  # it is part of the error that the catalogue allows
+            continue  # the catalogue's accuracy includes it
         if one.largest > noticed:
             yield Reason("watch", f"{function_in_words(one)} is larger than usual")
     for line in found.unexplained:
@@ -106,7 +106,7 @@ def _of_limit(limited: Limited) -> Reason:
 
 
 def _unjudged(answer: Answer) -> str:
-    """Why the joint cannot be judged; empty where it can."""
+    """Why the joint cannot be judged; empty if it can."""
     found = answer.diagnosis
     if answer.judgement == "misfit":
         return f"the model does not describe this record. {_CHECK}"
@@ -116,7 +116,7 @@ def _unjudged(answer: Answer) -> str:
 
 
 def _all_within(answer: Answer) -> str:
-    """That all limits are kept, and what was found that is usual for a new gear."""
+    """Sentence that all limits are kept, with causes that are usual for a new gear."""
     limits = [one for one in (answer.normal, answer.tolerance) if one is not None and one.within]
     names = " and ".join(f"the {words(one.quantity)}" for one in limits)
     kept = "are within their limits" if len(limits) > 1 else "is within its limit"
@@ -126,7 +126,7 @@ def _all_within(answer: Answer) -> str:
 
 
 def _beyond(limited: Limited) -> float:
-    """Probability that a value is beyond its limit, by its standard deviation."""
+    """Probability that a value is beyond its limit, from its standard deviation; nan if that is unknown."""
     return float(ndtr((limited.value - limited.limit) / limited.std)) if limited.std > 0.0 else math.nan
 
 

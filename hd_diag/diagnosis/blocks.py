@@ -1,4 +1,4 @@
-"""Long columns block by block, so that intermediate results need little memory."""
+"""Long columns in blocks, so that intermediate results need little memory."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ BLOCK = 1 << 18
 def blocks(begin: int, end: int, margin: int = 0) -> Iterator[tuple[slice, slice, slice]]:
     """Blocks of the rows from `begin` to before `end`.
 
-    Yields the rows of a block, the same with `margin` rows before and after, where there are any, and where
-    the block lies within these.
+    Yields three slices: the rows of a block; these rows with up to `margin` rows before and after; and the
+    place of the block within the second slice.
     """
     for first in range(begin, end, BLOCK):
         last = min(first + BLOCK, end)
@@ -35,9 +35,9 @@ def filtered(
     function: Callable[[slice], npt.NDArray[Kind]],
     margin: int,
 ) -> None:
-    """Fill a column (n,) block by block by a function of rows in one segment, numbered (n,).
+    """Fill `result` (n,) block by block with a function of rows, within segments numbered by `segment` (n,).
 
-    A value depends on `margin` rows on either side.
+    Each value depends on `margin` rows on either side.
     """
     for begin, end in bounds(segment):
         for rows, around, inner in blocks(begin, end, margin):

@@ -1,4 +1,4 @@
-"""Every number that decides what is said of a record, with where it comes from."""
+"""Every number that decides what a diagnosis says, with its origin."""
 
 from __future__ import annotations
 
@@ -7,105 +7,110 @@ import math
 from hd_diag.formatting import ARCSEC
 
 TEMPER = 1.0 / 3.0
-"""Share of the log likelihood that counts: noise and shapes are approximate (Miller and Dunson, J. Am. Stat.
-Assoc. 114, 2019). Calibrated once: causes stated with 99 % are right in 99 % of the development records."""
+"""Power to which the likelihood is raised, because the noise model and the shapes are approximate (Miller and
+Dunson, J. Am. Stat. Assoc. 114, 2019). Calibrated once: causes stated with 99 % probability are right in 99 %
+of the development records."""
 
 PRESENT = math.log(0.02)
-"""Prior log odds of each cause: some twenty are known, and a joint with any is one in a few."""
+"""Prior log odds of each cause: some twenty are known, and one joint in a few has any."""
 
 LARGER = math.log(0.05)
-"""The same of a remainder half a decade larger than usual, and of each further half: it needs no cause."""
+"""Prior log odds of each half decade by which a remainder exceeds its usual size. It needs no cause."""
 
 LARGER_LINE = math.log(0.5)
-"""The same of a line of the input's turn. Chosen, half as likely with each half decade: joints in the field
-have 0.5 to 45 arcsec at twice the input."""
+"""The same for a line at an order of the input. Chosen: each half decade is half as likely. Joints in the
+field have 0.5 to 45 arcsec at order 2 of the input."""
 
 UNKNOWN = math.log(0.02)
-"""The same of a shape without a known cause."""
+"""Prior log odds of a shape without a known cause."""
 
 NAMED, HINTED = 0.99, 0.5
-"""Probability from which a class is named, and from which it is a hint: one false alarm in a hundred."""
+"""Least probability of a named class, and of a hint. The first allows one false alarm in a hundred."""
 
 ODDS = math.log(NAMED / (1.0 - NAMED))
-"""Log odds of the first."""
+"""Log odds of `NAMED`."""
 
 LEAST_SIZE = 0.5 * ARCSEC
-"""Own part that a cause must have [rad rms]: less than any joint's lines have as a rule asks for nothing."""
+"""Least part that a named cause must explain alone [rad rms]. A smaller part asks for no action: the lines of
+any joint are usually larger."""
 
 USUAL_TORSION = 0.1
-"""Change of the compliance from torque to torque, by which gears of one page differ: catalogues allow ten to
-twenty per cent."""
+"""Usual relative change of the compliance with torque. Gears on one catalogue page differ by this much:
+catalogues allow ten to twenty per cent."""
 
 USUAL_LINE, USUAL_SLOW = LEAST_SIZE, 0.3 * ARCSEC
-"""What is usual of a line and of the slow remainders [rad]: a new gear of one arcminute has waves of one to
-two arcsec, and so have bearings, mounts and zeros."""
+"""Usual size of a line and of the slow remainders [rad]. A new gear with an accuracy of one arcminute has
+waves of one to two arcsec; bearings, mounts and encoder zeros contribute as much."""
 
 USUAL_LOOP = 60.0 * ARCSEC
-"""Lost motion between both ways that is usual [rad]: the arcminute that catalogues allow."""
+"""Usual lost motion between the two directions [rad]: the arcminute that catalogues allow."""
 
 LARGER_BY = (1.0, 3.0, 10.0, 30.0, 100.0)
-"""Sizes of a remainder over its usual one, half a decade apart: between two, the evidence changes little."""
+"""Prior widths of a remainder over its usual size, half a decade apart. Between two widths the evidence
+changes little."""
 
 LOOP_BY = LARGER_BY[:4]
-"""The same of the loop. Its four elements have about the usual lost motion then: a larger one is a cause."""
+"""The same for the loop. At the largest, its four elements have about the usual lost motion: a larger loop is
+a cause."""
 
 SLOW = (0.0, 0.3, 1.0, 3.0, 10.0)
-"""Sizes of the slow noise over the innovation: what no model describes."""
+"""Standard deviations of the slow noise over that of the innovation. No model describes slow noise."""
 
 SLOW_NOISE = -10.0
-"""Prior log odds of any. Calibrated: in 20 s of white noise alone it seems to bring 6, in a minute none."""
+"""Prior log odds of any slow noise. Calibrated: in 20 s of pure white noise the evidence gains 6 by chance,
+in a minute none."""
 
 SLOW_FOR = (0.1, 0.3, 1.0)
-"""How long it lasts [s]: longer, it is a drift."""
+"""Correlation times of the slow noise [s]. Slower noise is a drift."""
 
 SIZES = (0.1, 0.3, 1.0, 3.0, 10.0)
-"""The same of a cause's prior width over its usual size."""
+"""Prior widths of a cause over its usual size."""
 
 CLASS_SHARE = 0.99
-"""Share of the probability of all causes that a class holds: the same convention."""
+"""Share of the total probability of all causes that a class must hold: by convention, as `NAMED`."""
 
 CERTAIN_SIZE = 2.326
-"""Standard deviations below a size that leave 99 %."""
+"""Standard deviations below an estimate at which its one-sided 99 % bound lies."""
 
 TWO_SIDED = 1.96
-"""Standard deviations to either side of a value that make its 95 % interval."""
+"""Standard deviations on each side of an estimate in its 95 % interval."""
 
 MOST_ALIKE = 5
-"""Causes that a class may hold and still say something: a repair has to begin with one."""
+"""Largest number of causes in a named class. A larger class does not say where to begin a repair."""
 
 UNPROVED = 10.0
-"""Log odds within which a cause that the motion cannot show is in the class of one that fits better: its form
-is known no better than that."""
+"""A cause that the motion cannot show joins the class of a better fitting cause if its log odds are lower by
+less than this, because its form is known no better."""
 
 DISAGREEING = 0.1
-"""Share of what blocks foretell that may lie in blocks which it makes worse, where all count as agreeing."""
+"""Blocks that a cause makes worse may hold this share of the predicted gain; the blocks still agree."""
 
 FORETOLD = (0.5, 2.0)
-"""Size of a cause in blocks over what the others foretell of it, from and to which it stands. A block gains
-nothing from less than half; the other end is as far to the other side, chosen."""
+"""Limits of a cause's size in held-out blocks over the size that the other blocks predict. Below a half,
+a block gains nothing. The upper limit was chosen as the inverse."""
 
 MISFIT = 1.3
-"""What is left of held-out data, over the noise, from which it is not noise: chosen, beyond the tenth or two
-to which records tell their noise."""
+"""Ratio of the held-out residual to the noise above which the model misfits. Chosen above the uncertainty of
+ten or twenty per cent with which records determine their noise."""
 
 WORSE = 1.02
-"""What a model with causes leaves as it runs, over what the parameters alone leave, from which it is worse:
-chosen, beyond the thousandth or so by which models that are alike differ."""
+"""Ratio of residuals above which a running model with causes is worse than the parameters alone. Chosen above
+the thousandth or so by which equivalent models differ."""
 
 MORE = 1.15
-"""The same for the lower end of its interval, where its upper end is beyond that. At the gear's lines: from
-here on what is left may be a part of a displacement."""
+"""A misfit is also suspected if its interval's lower end exceeds this and its upper end exceeds `MISFIT`. At
+the gear's lines, a larger residual may hide part of a displacement."""
 
 ANOTHER = 3.0
-"""Standard deviations from its configured value from which a parameter is another: a convention."""
+"""A parameter differs from its configured value beyond this many standard deviations: a convention."""
 
 UNDONE = 0.5
-"""Share of what a cause does that others may undo: chosen. Two that undo each other further are neither."""
+"""Largest share of a cause that other causes may cancel. Chosen: if two cancel further, neither is real."""
 
 NOT_BY_TORQUE = 0.1
-"""Share of a cause that no function of the torque makes, from which torsion undoes none: chosen. Joints whose
-torque goes with the place had a thirtieth where nothing was there, and a third of a true cause."""
+"""If functions of the torque leave at least this share of a cause, torsion does not cancel it. Chosen: where
+torque follows position, a thirtieth was left without a cause and a third with a true one."""
 
 NOTICED = 0.25
-"""Share of the accuracy, peak to peak, from which a remainder that is larger than usual asks to be watched: a
-convention. So does what is unexplained and no line."""
+"""A larger than usual remainder, or an unexplained part that is no line, is worth watching above this share
+of the accuracy, peak to peak: a convention."""

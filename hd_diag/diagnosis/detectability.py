@@ -1,4 +1,4 @@
-"""What this record's motion could have shown: the least size of each effect that would have been named."""
+"""Detection limits of a record's motion: the least size at which each effect would have been named."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from hd_diag.effects.remainders import ORDERS
 from hd_diag.formatting import words
 
 NOT_PROVED = "what is left looks like it, and does not prove it"
-"""Why an effect is neither found nor absent."""
+"""Why an effect is neither found nor excluded."""
 
-_LARGE = 3.0  # times the usual size
-_MOST = 2.0  # times the information without what imitates it
+_LARGE = 3.0  # largest testable detection limit, in usual sizes
+_MOST = 2.0  # least gain of information when an imitating effect is removed
 _IMITATED = 0.02  # least share of an effect's information that nothing else imitates
 _TOO_SMALL = "what is usual would not stand out here: record more of it, or more slowly"
 _NO_START = "none of its lines would stand apart from others here: let the wave generator turn further"
@@ -32,7 +32,7 @@ _BY_PARAMETERS = "the model's own parameters imitate it: this record cannot tell
 
 @dataclass(frozen=True)
 class Detectability:
-    """Whether an effect could be tested, the least size named with 99 % chance [rad rms], and why."""
+    """Whether an effect could be tested, the least size named with 99 % chance [rad rms], and the reason."""
 
     name: str
     testable: bool
@@ -41,9 +41,9 @@ class Detectability:
 
 
 def testability(best: Set, undecided: Mapping[str, str]) -> tuple[Detectability, ...]:
-    """Detectability of every effect of the catalogue on a record, beside the best set of causes.
+    """Detectability of every effect of the catalogue on a record, given the best set of causes.
 
-    `undecided` are those that would not be named, or not be absent, whatever this record shows, and why.
+    `undecided` maps effects that are neither found nor excluded by this record to the reason.
     """
     fit, rest = best.fit, best.fit.remainder(best.chosen)
     points = {e.name: (e, point) for e in fit.data.searched if (point := _point(fit, rest, e)) is not None}
@@ -65,7 +65,7 @@ def testability(best: Set, undecided: Mapping[str, str]) -> tuple[Detectability,
 
 
 def _point(fit: LinearisedFit, rest: Floats, effect: Effect) -> Values | None:
-    """In the middle of a grid by what a fit leaves (n,) [rad], where it has columns."""
+    """Nonlinear values in the middle of the grid for a fit's residual (n,) [rad]; None without columns."""
     rough = fit.roughly(effect)
     points = effect.starts(rough.signals, rest).points if competes(fit, effect) else []
     point = points[len(points) // 2] if points else None
@@ -73,20 +73,20 @@ def _point(fit: LinearisedFit, rest: Floats, effect: Effect) -> Values | None:
 
 
 def _tested(best: Set, evidence: Evidence, effect: Effect, point: Values, lacking: str) -> Detectability:
-    """By the expected log odds of the effect with everything else free, all its columns alike.
+    """Detectability from the expected log odds of the effect, with everything else free and equal columns.
 
-    They grow with the square of the size times the information that nothing else imitates, and have to reach
-    what a name asks for, and their own scatter.
+    The odds grow with the squared size times the information that nothing else imitates. They must exceed the
+    threshold for a name by a margin for their own scatter.
     """
     inner, whole = evidence.information(best.widths, f"?{effect.name}")
     columns = best.fit.roughly(effect).columns(effect, point)[:, : effect.size] * effect.usual
     usual = float(np.sqrt(np.sum(np.var(columns, axis=0)) / effect.size))
     own = {name: width for name, width in best.widths.items() if name in best.names}
     share = float(np.trace(evidence.information(own, f"?{effect.name}")[0]) / max(np.trace(whole), 1e-300))
-    width = 1.0  # of the prior, in usual sizes
+    width = 1.0  # prior width in usual sizes
     occam = 0.5 * float(np.sum(np.log1p(width**2 * np.maximum(np.linalg.eigvalsh(inner), 0.0))))
     needed = ODDS - presence(best.fit, effect) + occam
-    root = math.sqrt(2.0 * needed) + CERTAIN_SIZE  # standard deviations: of the odds, and to be there in 99 %
+    root = math.sqrt(2.0 * needed) + CERTAIN_SIZE  # standard deviations: threshold plus 99 % margin
     by_odds = root / math.sqrt(max(float(np.trace(inner)) / effect.size, 1e-300))
     least = max(usual * by_odds, LEAST_SIZE / math.sqrt(max(share, 1e-12)))
     if share < _IMITATED:
@@ -97,7 +97,7 @@ def _tested(best: Set, evidence: Evidence, effect: Effect, point: Values, lackin
 
 
 def _imitated(best: Set, evidence: Evidence, effect: Effect) -> str:
-    """Which of the set's columns imitate an effect most: without these most of it is left."""
+    """The set's effect that imitates an effect most, in words; removing it frees the most information."""
     name = f"?{effect.name}"
 
     def left(without: str) -> float:

@@ -1,4 +1,4 @@
-"""The whole diagnosis of one joint: checks, refit, causes, unexplained parts, gain on data never fitted."""
+"""The whole diagnosis of one joint: checks, refit, causes, unexplained parts, gain on held-out data."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ from hd_diag.effects.effect import Stage
 from hd_diag.extended_model import ExtendedModel
 from hd_diag.formatting import words
 
-_ROUNDING = 1e-12  # of an error [rad]
-_SIZED_ROWS = 2000  # by which the size of what parameters do is taken
-_SEARCHED_ROWS = 6_000  # that a search gets: more cost time, and show what is larger than noise no better
-_TESTED = 0.9  # of the time that a diagnosis may take, by which what could have been shown is tested
-_KEPT = 0.7  # the same, for which parameters are as configured
+_ROUNDING = 1e-12  # rounding error of a transmission error [rad]
+_SIZED_ROWS = 2000  # rows that measure the effect of a parameter group
+_SEARCHED_ROWS = 6_000  # rows of a search; more cost time and resolve large effects no better
+_TESTED = 0.9  # share of the time limit at which the detectability test must end
+_KEPT = 0.7  # the same, for testing which parameters are as configured
 _KEPT_TEST = "testing which parameters may be as configured"
 _NO_LAWS = ("no law was found", "no law was found")
-_BY_TORQUE = ("friction", "torsion")  # kinds of causes that a motor's own friction and constant imitate
+_BY_TORQUE = ("friction", "torsion")  # kinds of causes that motor friction and torque constant imitate
 _BY_MOTOR = "a motor's own friction and constant imitate it: measure the torque at the joint"
 _HIDDEN = "more than noise is left at the gear's lines: what else is wrong may hide it"
 _AT_BOUND = "a parameter is as far off as it can be: something else takes part in it"
@@ -54,11 +54,11 @@ _NOT_PREDICTED = "held-out data are predicted no better with the causes than wit
 _SHAPE = "it is the torsion's own shape: see the function of torque"
 _PARAMETERS = "it is a parameter of the model: see these"
 _NO_CAUSES = {"torsional_hardening": _SHAPE, "torque_gain": _PARAMETERS, "wear_backlash": _PARAMETERS}
-"""Effects that describe what parameters and remainders do, and why they are not named."""
+"""Effects that duplicate parameters or remainders, and the reason why they are not named."""
 
 
 class Allowed(NamedTuple):
-    """The eccentricity that an assembly may have [m], and the criterion that it is by."""
+    """Largest eccentricity that an assembly may have [m], and the criterion that limits it."""
 
     eccentricity: float
     criterion: str
@@ -66,12 +66,12 @@ class Allowed(NamedTuple):
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Result for one joint; `orders` is its order table where no tooth model was fitted.
+    """Result for one joint; `orders` is its order table if no tooth model was fitted.
 
-    `kept` are the parameters that stay as configured, for held-out data are predicted no better with others,
-    and how far off each may be, at 95 % (SI). What is `allowed` is not found here: a caller adds it.
-    `encoder_zeros` are those of the recordings [rad]; `motor_std` are the standard deviations of what a motor
-    needs of its current, by name; `left_out` is what there was no time for, in words.
+    `kept` maps each parameter that stays as configured, because the evidence is about as good with it, to how
+    far off it may be, at 95 % (SI). The caller sets `allowed`; the diagnosis does not compute it.
+    `encoder_zeros` holds one zero per recording [rad]. `motor_std` holds the standard deviations of what the
+    motor takes of its current, by name. `left_out` lists the steps that were skipped for lack of time.
     """
 
     record: Record
@@ -94,17 +94,17 @@ class Diagnosis:
 
     @property
     def misfit(self) -> Misfit | None:
-        """What the extended model leaves over the noise; None where nothing was fitted."""
+        """Residual of the extended model over the noise; None if nothing was fitted."""
         return self.rms.misfit if self.rms else None
 
     @property
     def causes(self) -> tuple[Cause, ...]:
-        """Causes found that the record can tell, most explaining first."""
+        """Causes that can be named without doubt; the one with the largest gain first."""
         return tuple(cause for cause in (self.found.causes if self.found else ()) if not self.doubt(cause))
 
     @property
     def hints(self) -> tuple[Cause, ...]:
-        """Those that are likely, and in the model, but not to be named for it."""
+        """Causes that are probable and in the model, but too doubtful to be named."""
         return tuple(
             cause
             for cause in (self.found.causes if self.found else ())
@@ -113,14 +113,14 @@ class Diagnosis:
 
     @property
     def predicting(self) -> bool:
-        """Whether held-out rows are predicted better with the causes than without, or as configured."""
+        """Whether held-out rows are predicted better with causes than without, refitted or as configured."""
         rms = self.rms
         return rms is None or rms.with_causes < rms.without_causes
 
     def doubt(self, cause: Cause) -> str:
-        """The first reason for which a cause is not named; empty where it is.
+        """The first reason why a cause is not named; empty if it is named.
 
-        Where more than the fit's noise is left, something else may look like it: then evidence counts less.
+        If the residual exceeds the fit's noise, other effects may imitate the cause, so evidence counts less.
         """
         times = self.rms.overstated(cause.standing.slow) if self.rms else 1.0
         if doubt := cause.standing.beside(times).doubt:
@@ -132,7 +132,7 @@ class Diagnosis:
 
     @property
     def undecided(self) -> dict[str, str]:
-        """Effects that are neither found nor absent, and why."""
+        """Effects that are neither found nor excluded, and the reason."""
         doubted = [cause for cause in (self.found.causes if self.found else ()) if self.doubt(cause)]
         of_hints = {name: NOT_PROVED for cause in doubted for name in cause.alike}
         of_classes = {
@@ -144,7 +144,7 @@ class Diagnosis:
 
     @property
     def _nameless(self) -> dict[str, str]:
-        """Effects that would not be named whatever their size, and why."""
+        """Effects that would not be named at any size, and the reason."""
         names, why = [effect.name for effect in self.catalogue], ""
         if self.rms and self.rms.misfit.certain and self.rms.hides_lines:
             why = _HIDDEN
@@ -159,28 +159,28 @@ class Diagnosis:
 
     @property
     def untestable(self) -> tuple[Detectability, ...]:
-        """What this record could not have shown; what it hints at is no such thing."""
+        """Effects that this record could not have shown, except for those that it hints at."""
         hinted = {name for cause in self.hints for name in cause.alike}
         return tuple(test for test in self.testable if not test.testable and test.name not in hinted)
 
     @property
     def order_table(self) -> tuple[OrderRow, ...]:
-        """Waves without a cause, the largest first; those that repeat are in the model."""
+        """Waves without a cause, the largest first; the model contains those that repeat."""
         return self.found.table if self.found else self.orders
 
     @property
     def functions(self) -> tuple[Function, ...]:
-        """What is slow and unexplained: functions of torque, speed, place and time, and lines of any gear."""
+        """Slow unexplained functions of torque, speed, place and time, and the lines of any gear."""
         return self.found.functions if self.found else ()
 
     @property
     def larger(self) -> tuple[Function, ...]:
-        """Those that are larger than usual, and large enough to be told."""
+        """Functions that are larger than usual and large enough to report."""
         return tuple(one for one in self.functions if one.is_larger and one.rms >= LEAST_SIZE)
 
     @property
     def parameters(self) -> dict[str, dict[str, Any]]:
-        """Fitted parameters by name: value, std, unit, configured; empty where nothing was fitted."""
+        """Fitted parameters by name: value, std, unit, configured; empty if nothing was fitted."""
         fit = self.refitted
         return fit_parameters.physical(fit.parameters, fit.covariance, self.configured) if fit else {}
 
@@ -197,14 +197,14 @@ def diagnose(
     Parameters
     ----------
     record : Record or Screened
-        A caller who screens a long record first need not keep it.
+        A caller can screen a long record first and free its memory.
     configured : Drive
         The simulation as configured.
     rng : numpy.random.Generator
         For bootstrap intervals.
     work : Work, optional
-        Reports how far this is. Where its time is too short the result says what was left out; the fit, the
-        gain and what no cause explains never are.
+        Reports progress and limits the time. The result lists steps that were left out for lack of time; the
+        fit, the gain and the unexplained parts are never left out.
     catalogue : tuple of Effect
         Causes to search among.
     """
@@ -214,7 +214,7 @@ def diagnose(
     if any(finding.fatal for finding in findings):
         return Diagnosis(record, configured, findings, catalogue=catalogue)
     apart = renumbered(record)
-    # Single rows of a long record weigh nothing in a fit, which must know of what came between.
+    # Isolated rows of a long record carry history for effects with memory but no weight in a fit.
     together = (np.bincount(apart.run) > ORDER)[apart.run]
     test, which = held_out(record, usable(record) & together)
     record, test = apart, test & together
@@ -243,7 +243,7 @@ def diagnose(
     rms, gain = measured_gain(record, test, which, without, measured, every, rng)
     alone: Solution | None = None
     wanders = any(effect.wanders(nonlinear) for effect, nonlinear in chosen)
-    # Causes that undo each other in a fit do not as the model runs. Wandering does not count against a cause.
+    # Causes may cancel in a fit but not in the running model. Wandering does not count against a cause.
     if (rms.foretellable if wanders else rms.extended) > WORSE * rms.refit:
         alone = Solution(without, given=best.motor)
         of_alone, gain = measured_gain(record, test, which, without, alone, every.beside(()), rng)
@@ -283,14 +283,14 @@ def diagnose(
 
 
 def _starts(begun: LinearisedFit, test: Rows) -> list[LinearisedFit]:
-    """Where a search begins, on some rows of those that are not held out: as refitted, or as configured."""
+    """Starting points of a search, on some rows that are not held out: as refitted and as configured."""
     data = begun.data
     some = some_rows(data.source, _SEARCHED_ROWS)
     record = renumbered(data.source.select(some))
-    # Single rows are for causes that remember.
+    # Isolated rows only carry the history of causes with memory.
     rows = ~test[some] & (np.bincount(record.run) > ORDER)[record.run]
     fit = begun.in_record(record, rows)
-    # Of a record in pieces hardly any stretch may be left.
+    # A fragmented record may have hardly any usable stretch in the subset.
     fit = (fit if fit.data.at.size >= MINIMUM_SAMPLES else begun).beside(begun.present)
     as_configured = fit_parameters.vector(data.configured, data.configured)
     if record.by_current:
@@ -300,10 +300,10 @@ def _starts(begun: LinearisedFit, test: Rows) -> list[LinearisedFit]:
 
 
 def _wider(rms: Rms, configured: Drive) -> Floats:
-    """By how much deviations of the parameters (p,) are more than the noise makes them, where more is left.
+    """Factors (p,) by which the parameters' deviations grow if the residual exceeds the noise.
 
-    As of an average whose parts disagree (Birge, Phys. Rev. 40, 1932). What displacements do is within turns
-    of the input: there what is slow is not left.
+    Averages of disagreeing parts are treated likewise (Birge, Phys. Rev. 40, 1932). Displacements act within
+    turns of the input, so a slow residual does not count for them.
     """
     left = rms.misfit.value if rms.misfit.suspected else 1.0
     found = np.full(fit_parameters.count(configured), left)
@@ -312,7 +312,7 @@ def _wider(rms: Rms, configured: Drive) -> Floats:
 
 
 def imitated(rms: Rms, record: Record, configured: Drive, parameters: Floats) -> Floats:
-    """Deviations of displacements (p,): as much as is left at the gear's lines may be in what they do."""
+    """Deviations of displacements (p,), which may imitate the residual at the gear's lines; else zero."""
     found, left = np.zeros(parameters.size), rms.noise * math.sqrt(max(rms.gear**2 - MORE**2, 0.0))
     if left == 0.0:
         return found
@@ -320,13 +320,13 @@ def imitated(rms: Rms, record: Record, configured: Drive, parameters: Floats) ->
     away = parameters - fit_parameters.vector(configured, configured)
     for name in sizes.keys() & HELD:
         numbers = numbers_of([name])
-        if sizes[name] > _ROUNDING:  # a runout does nothing beside no eccentricity
+        if sizes[name] > _ROUNDING:  # without an eccentricity, a runout changes nothing
             found[numbers] = np.linalg.norm(away[numbers]) * left / sizes[name]
     return found
 
 
 def parameter_sizes(record: Record, configured: Drive, parameters: Floats) -> dict[str, float]:
-    """How much the error changes where a group of parameters (p,) is as configured [rad rms], by its name."""
+    """Change of the error when a group of parameters (p,) is reset to the configured [rad rms], by group."""
     some = record.select(usable(record)).thinned(_SIZED_ROWS)
     as_configured = fit_parameters.vector(configured, configured)
 
@@ -343,7 +343,7 @@ def parameter_sizes(record: Record, configured: Drive, parameters: Floats) -> di
 
 
 def _described(record: Record, lines: list[Unexplained], rms: Rms, wanders: bool) -> tuple[Unexplained, ...]:
-    """What no cause explains; where more than noise is left there is always an entry."""
+    """Unexplained parts; there is always an entry if the residual exceeds the noise."""
     beyond = math.sqrt(2.0 * max(rms.extended**2 - rms.wandering**2 - rms.noise**2, 0.0))
     if wanders and rms.extended > MISFIT * rms.noise:
         what = "wanders in phase or amplitude, which the fit follows and a model that runs cannot"

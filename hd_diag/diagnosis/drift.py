@@ -1,4 +1,4 @@
-"""Inputs known by a velocity: slow drift of its integral, and whether it is a sensor of its own."""
+"""Inputs known by velocity: slow drift of the integral, and whether the velocity has its own sensor."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from hd_diag.diagnosis.smoothing import smooth
 from hd_diag.diagnosis.stamps import usual_step
 from hd_diag.model.transmission_error import Kinematics
 
-_KNOTS = 5.0  # between which a drift goes straight [s]
-_MOST_KNOTS = 60  # of a record
-_MEMORY = 0.25  # of a filter of positions [s]
+_KNOTS = 5.0  # spacing of a drift's knots [s]
+_MOST_KNOTS = 60  # knots in a record
+_MEMORY = 0.25  # longest memory of a position filter [s]
 _TAPS = 30
-_SLOW = 1.0  # [s]
+_SLOW = 1.0  # smoothing window that removes slow parts [s]
 _MOST_ROWS = 120_000
-_LEFT = 0.3  # of a line of the integral, which a mean of the output's angles cannot make
-_COHERENT = 0.5  # share of the integral's error that the output's own course explains
+_LEFT = 0.3  # remaining line over the largest one, which no mean of output angles gives
+_COHERENT = 0.5  # share of the integral's error that the output angle explains
 
 
 def drift_columns(time: Floats, record: Integers) -> Floats:
-    """Straight pieces between knots of each recording, which sum up to one; shape (n, k).
+    """Piecewise linear columns (n, k) between the knots of each recording, with a sum of one.
 
-    Times are in s; numbers of the recordings ascend; both of shape (n,).
+    Times [s] and ascending recording numbers have shape (n,).
     """
     edges = bounds(record)
     whole = sum(float(np.ptp(time[begin:end])) for begin, end in edges)
@@ -43,19 +43,19 @@ def drift_columns(time: Floats, record: Integers) -> Floats:
 
 
 def without_drift(values: Floats, time: Floats, record: Integers) -> Floats:
-    """Values (n,) or (n, m) less what a drift could be of them; see :func:`drift_columns`."""
+    """Values (n,) or (n, m) less a fitted drift; see :func:`drift_columns`."""
     columns, known = drift_columns(time, record), np.isfinite(values.reshape(time.size, -1)).all(axis=1)
     return np.asarray(values - columns @ np.linalg.lstsq(columns[known], values[known], rcond=None)[0])
 
 
 def check_velocity(record: Record, kinematics: Kinematics) -> Finding | None:
-    """A finding where the velocity behind the input angle is not shown to be a sensor of its own.
+    """A finding if the record does not prove that the input velocity has its own sensor.
 
     Notes
     -----
-    The integral of a filtered derivative is a mean of the output's angles before, with weights that are not
-    negative: it is coherent and late. What the integral is off the output is fitted by such a mean; a second
-    encoder leaves lines at the gear's orders, a filter leaves none.
+    The integral of a filtered derivative is a mean of earlier output angles with non-negative weights, so it
+    is coherent and late. Such a mean is fitted to the difference between integral and output. If there is a
+    second encoder, the residual has lines at the gear's orders; after a filter it has none.
     """
     if not record.by_velocity:
         return None
@@ -73,7 +73,7 @@ def check_velocity(record: Record, kinematics: Kinematics) -> Finding | None:
     late = [np.roll(record.output_angle, lag) for lag in lags]
     columns = [one - record.output_angle for one in (*late, record.input_angle / kinematics.ratio)]
     both = without_drift(np.stack(columns, axis=1)[inner], record.time[inner], record.bag[inner])
-    # Quick parts tell the weights: of slow ones some is forgotten in the integral.
+    # Fast parts determine the weights, because drift distorts slow ones.
     small = np.asarray(np.linalg.qr(both - smooth(both, record.stretch[inner], step, _SLOW), mode="r"))
     kernel, _ = nnls(small[:, :-1], small[:, -1])
     rest = both[:, -1] - both[:, :-1] @ kernel

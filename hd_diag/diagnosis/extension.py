@@ -1,4 +1,4 @@
-"""The model that a diagnosis found, as it runs: one sample after the other, with causal signals."""
+"""The model that a diagnosis found, as it runs: sample by sample, with causal signals."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from hd_diag.model.torsion_map import TorsionMap
 
 
 def extended_model(found: Solution, configured: Drive, record: Record) -> ExtendedModel:
-    """The refitted drive with its causes, functions and waves that repeat, and the encoders' offset.
+    """The refitted drive with its causes, functions, repeating waves and the encoders' offset.
 
-    It is valid in the range of the record that it was fitted to.
+    It is valid in the range of the record.
     """
     beta, _, _ = found.fit.fit(found.chosen)
     drive = fit_parameters.drive_of(found.fit.parameters + beta[: found.fit.parameters.size], configured)
@@ -31,13 +31,13 @@ def extended_model(found: Solution, configured: Drive, record: Record) -> Extend
     known += [(one.effect, one.coefficients, one.nonlinear) for one in found.functions if one.is_described]
     known += [(ORDER_LINE, row.coefficients, row.nonlinear) for row in found.table if row.in_model]
     terms = tuple(_term(*one) for one in known)
-    zeros = found.fit.data.offsets  # each recording has its own, a joint that runs their mean
+    zeros = found.fit.data.offsets  # one per recording; a running joint uses their mean
     offset = float(zeros.mean(axis=0) @ beta[found.fit.parameters.size :][: zeros.shape[1]])
     return ExtendedModel(drive, terms, offset, _ranges(record))
 
 
 def encoder_zeros(found: Solution) -> Floats:
-    """Zero of the encoders, output against input, in each recording that is fitted [rad], shape (k,)."""
+    """Zero of the output encoder against the input encoder in each fitted recording [rad], shape (k,)."""
     data = found.fit.data
     first = np.unique(data.record.bag, return_index=True)[1]
     own = found.fit.fit(found.chosen)[0][found.fit.parameters.size :][: data.offsets.shape[1]]
@@ -47,10 +47,10 @@ def encoder_zeros(found: Solution) -> Floats:
 def running_residual(
     model: ExtendedModel, record: Record, torque: Floats, table: TorsionMap | None
 ) -> Floats:
-    """Measured less predicted error (n,) [rad] of a model that runs along a record, as the node runs it.
+    """Measured less predicted error (n,) [rad] of a model that runs along a record, as in the node.
 
-    The torque (n,) on the link [N m] is the record's, or as it was reported; without the model's torsion map
-    as `table` the prediction is exact.
+    `torque` (n,) [N m] is that of the record, or as reported. `table` is the model's torsion map; without it
+    the prediction is exact.
     """
     predicted = np.empty(record.size)
     for rows in itertools.starmap(slice, bounds(record.stretch)):
@@ -61,7 +61,7 @@ def running_residual(
 
 
 def _term(effect: Effect, coefficients: Floats, nonlinear: tuple[float, ...]) -> Term:
-    """An effect moved into its limits, where the search left them."""
+    """An effect with its quantities clipped to their limits."""
     values = effect.to_physical(coefficients, nonlinear)
     limited = {
         q.name: values[q.name][0] if q.periodic else float(np.clip(values[q.name][0], q.low, q.high))
@@ -72,7 +72,7 @@ def _term(effect: Effect, coefficients: Floats, nonlinear: tuple[float, ...]) ->
 
 
 def _ranges(record: Record) -> Ranges:
-    """What the record covers; standing still is no other speed."""
+    """Ranges of torque, speed (including standstill) and temperature of a record."""
     heat = record.temperature
     speed = _range(np.append(record.speed, 0.0))
     return Ranges(_range(record.torque), speed, None if heat is None else _range(heat))

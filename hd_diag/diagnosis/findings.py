@@ -15,21 +15,21 @@ from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.record import Record, encoder_bits
 from hd_diag.diagnosis.regression import centered
 
-_FOLLOWS = 0.3  # of the output's travel, that it may be off at most
-_RATIO_MISS = 2e-3  # relative; more than any transmission error can make of a turn
-_RAMP_MISS = 8e-5  # relative; torsion by gravity leans by half of it over a robot's reach
-_RAMP_ERROR = 1e-4  # [rad]; what is not fitted beside a ramp may lean by this over a recording
-_LEAST_REACH = 2.5  # of a recording at the output [rad]; over less, a wave of the output bends like a ramp
-_PLAIN = 0.5  # of the rest, that a ramp must explain alone
-_BY_TORSION = 1.2  # times what torsion alone may make of it, of which a noisy torque tells too little
-_LESS = 0.999  # of the rest: beyond what two columns take by chance
+_FOLLOWS = 0.3  # largest deviation over the output's travel, rms
+_RATIO_MISS = 2e-3  # relative; no transmission error is as large over a turn
+_RAMP_MISS = 8e-5  # relative; torsion by gravity gives half of it over a robot's reach
+_RAMP_ERROR = 1e-4  # ramp that unmodelled parts may give over a recording [rad]
+_LEAST_REACH = 2.5  # least output reach of a recording [rad]; over less, an output wave looks like a ramp
+_PLAIN = 0.5  # least size of the ramps' own part over the residual
+_BY_TORSION = 1.2  # least ramp over the one from torsion, which a noisy torque underestimates
+_LESS = 0.999  # ratio of residuals; two columns reduce it less by chance
 _PARTS = 6
 _CLUSTERS = 60
-_MOST_ROWS = 20_000  # of the fit of ramps
-_INPUT_ORDERS = (1, 2, 4)  # of waves that any gear may have
-_STEP, _WIDTH = 0.25, 15  # of a tooth pitch, over so many rows
-_WHOLE = 0.05  # of a tooth pitch, by which a step of whole teeth may be misread
-_MOST_STEPS = 20  # after which no more are looked for
+_MOST_ROWS = 20_000  # rows in the fit of ramps
+_INPUT_ORDERS = (1, 2, 4)  # orders of waves that any gear may have
+_STEP, _WIDTH = 0.25, 15  # least step, in tooth pitches, over so many rows
+_WHOLE = 0.05  # tolerance of a step of whole teeth [tooth pitches]
+_MOST_STEPS = 20  # the search for steps ends beyond this number
 _DEGREES = math.degrees(1.0)
 
 Torsion = Callable[[Floats, Floats], Floats]
@@ -37,7 +37,7 @@ Torsion = Callable[[Floats, Floats], Floats]
 
 @dataclass(frozen=True)
 class Finding:
-    """A finding from before any fit: catalogue name, one sentence, value and unit; a fatal one ends all."""
+    """A finding before any fit: catalogue name, one sentence, value, unit; if fatal, the diagnosis ends."""
 
     name: str
     text: str
@@ -47,31 +47,31 @@ class Finding:
 
 
 def check_ratio(record: Record, ratio: float) -> Finding | None:
-    """A finding where the output does not follow the input at the configured ratio [-], torsion aside."""
+    """A finding if the output does not follow the input at the configured ratio [-], apart from torsion."""
     slope = _usual_slope(record)
     if not follows(record, slope, _FOLLOWS):
         text = "the output does not follow the input at any fixed ratio: are the joints' names swapped?"
         return Finding("ratio_error", text, math.nan, "-", True)
-    # The error itself may lean with the angle by as much as its own size over the range.
+    # The error itself may have a slope of its own size over the range.
     reach = float(np.ptp(centered(record.output_angle, record.run)))
     off = abs(slope * ratio - 1.0) > max(_RATIO_MISS, 0.02 / max(reach, 1e-9))
     return wrong_ratio(1.0 / slope, ratio) if off else None
 
 
 def follows(record: Record, slope: float, share: float) -> bool:
-    """Whether the output is the input times a slope [-], but for a share of its travel, in every run."""
+    """Whether the output is the input times a slope [-] plus an offset per run, to a share of its rms."""
     angle, output = (centered(column, record.run) for column in (record.input_angle, record.output_angle))
     return float(np.std(output - slope * angle)) <= share * float(np.std(output))
 
 
 def check_ramp(record: Record, ratio: float) -> Finding | None:
-    """A finding where the error grows with the output angle, alike in all parts of a record without steps.
+    """A finding if the error grows with the output angle, alike in all parts of a record without steps.
 
     Notes
     -----
-    In each of `_PARTS` parts a ramp is fitted, beside torsion, friction, runout and ripple. Without
-    a measured torque, torsion looks like a ramp; over a small part of a turn, runout does. A disc off its
-    centre, which bends twice per turn as well, must explain less than the ramps.
+    The fit has a ramp in each of `_PARTS` parts, and columns for torsion, friction, runout and ripple.
+    Without a measured torque, torsion looks like a ramp, and so does runout over a small part of a turn:
+    these cases give no finding. An eccentric disc with its second wave must explain less than the ramps.
     """
     reach = float(np.ptp(centered(record.input_angle / ratio, record.bag)))
     if not record.has_torque or reach < _LEAST_REACH:
@@ -81,14 +81,14 @@ def check_ramp(record: Record, ratio: float) -> Finding | None:
 
 
 def wrong_ratio(found: float, configured: float) -> Finding:
-    """The finding of another ratio than configured [-]."""
+    """The finding that the ratio [-] differs from the configured one."""
     check = "check the ratio, its sign, a belt that was not declared, or swapped joints"
     text = f"the output follows the input at a ratio of {found:.6g}, not the configured {configured:g}: "
     return Finding("ratio_error", text + (_unit_of(found, configured) or check), found, "-", True)
 
 
 def _unit_of(found: float, configured: float) -> str:
-    """What a ratio that is off by a known factor tells of the units; empty for other ratios."""
+    """Wrong unit that explains a ratio off by a known factor, in words; empty for other ratios."""
     factor = abs(found / configured)
     for value, name in ((_DEGREES, "input"), (1.0 / _DEGREES, "output")):
         if abs(factor / value - 1.0) < 0.02:
@@ -101,15 +101,15 @@ def _unit_of(found: float, configured: float) -> str:
 
 
 def declared(role: str, unit: str) -> str:
-    """What to write where a signal is in another unit than SI, for a column of a table and for a topic."""
+    """What the user writes for a signal that is not in SI, for a table column and for a topic."""
     owner = "input" if role == "input" else f"{role}_signal"
     return f"write {role}=COLUMN[{unit}] in --columns, or unit: {unit} under the joint's {owner}"
 
 
 def _usual_slope(record: Record) -> float:
-    """Output over input: median of short stretches weighted by their travel; steps do not affect it.
+    """Output over input [-]: median over short stretches, weighted by travel, so steps do not affect it.
 
-    Stretches are no longer than half a usual run; nan where nothing moves within a run.
+    Stretches are no longer than half a usual run. The result is nan if nothing moves within a run.
     """
     usual_run = int(np.median(np.bincount(record.run)[record.run]))
     lag = max(min(record.size // 400, usual_run // 2), 1)
@@ -127,7 +127,7 @@ def _usual_slope(record: Record) -> float:
 
 
 def _ramp(record: Record, ratio: float) -> tuple[float, float]:
-    """Mean error per output angle [-], and the least that stands out of what could be mistaken for it."""
+    """Mean slope of the error over the output angle [-], and the least slope that counts as a ramp."""
     ideal = record.input_angle / ratio
     load = record.torque / max(float(np.max(np.abs(record.torque))), 1e-9)
     once = _waves(ideal)
@@ -152,18 +152,18 @@ def _ramp(record: Record, ratio: float) -> tuple[float, float]:
     found = inverse @ error
     weight = (inverse[:_PARTS] / scale[:_PARTS, None]).mean(axis=0)
     rest, slopes = error - scaled @ found, found[:_PARTS] / scale[:_PARTS]
-    # Of a part of a turn a wave of it is nearly a ramp: large ones that undo each other are neither.
+    # Over part of a turn, a wave is nearly a ramp: if the two cancel, neither is real.
     ramp, wave = slopes.mean() * along, slice(_PARTS, _PARTS + len(once))
     if np.std(ramp + scaled[:, wave] @ found[wave]) < (1.0 - UNDONE) * np.std(ramp):
         return 0.0, np.inf
     left = error - waved @ (np.linalg.pinv(waved, rcond=1e-6) @ error)
-    if np.linalg.norm(left) < _LESS * np.linalg.norm(rest):  # a wave twice per output turn does as well
+    if np.linalg.norm(left) < _LESS * np.linalg.norm(rest):  # a wave twice per output turn explains it
         return 0.0, np.inf
-    cluster = np.bincount(rows * _CLUSTERS // record.size, weight * rest)  # within which it is correlated
+    cluster = np.bincount(rows * _CLUSTERS // record.size, weight * rest)  # allows for correlation within
     spread = max(float(slopes.std(ddof=1)) / np.sqrt(_PARTS), float(np.sqrt(np.sum(cluster**2))))
-    # The mean at which what only the ramps explain is as large as the rest.
+    # Mean slope at which the ramps' own part is as large as the residual.
     hidden = float(np.linalg.norm(weight) * np.linalg.norm(rest))
-    # What torsion alone may make of it: gravity's goes with the angle, a spring's is in proportion to it.
+    # Ramp from torsion alone: gravity's torque varies with the angle, a spring's is proportional to it.
     loads = scaled[:, wave.stop : wave.stop + 3]
     torsion, alike = (loads @ np.linalg.lstsq(loads, one, rcond=None)[0] for one in (error, along))
     leaning = float(np.std(torsion) * np.var(alike) / max(float(np.std(along)), 1e-300) ** 3)
@@ -177,7 +177,7 @@ def _waves(angle: Floats) -> tuple[Floats, Floats]:
 def find_steps(
     record: Record, ratio: float, tooth_pitch: float, torsion: Torsion | None = None
 ) -> tuple[Floats, list[Finding]]:
-    """Steps of the error: teeth skipped or encoder counts lost.
+    """Steps of the error: skipped teeth or lost encoder counts.
 
     Parameters
     ----------
@@ -186,13 +186,13 @@ def find_steps(
     tooth_pitch : float
         Angle by which the flexspline turns when it skips a tooth [rad]: one of its own pitches.
     torsion : callable, optional
-        The error of a drive [rad] at input angles [rad] and torques [N m], (n,) each: a torque that gives way
-        with the teeth lets the drive spring back.
+        The error of a drive [rad] at input angles [rad] and torques [N m], (n,) each. It corrects for the
+        spring-back when the torque drops as teeth skip.
 
     Returns
     -------
     correction : ndarray, shape (n,)
-        To be subtracted from the output angle [rad].
+        Steps to subtract from the output angle [rad].
     findings : list of Finding
     """
     error = record.output_angle - record.input_angle / ratio
@@ -216,7 +216,7 @@ def find_steps(
                 break
             teeth = round(size / tooth_pitch)
             whole = teeth != 0 and abs(size / tooth_pitch - teeth) < _WHOLE
-            exact = teeth * tooth_pitch if whole else size  # the same flanks meet again behind whole teeth
+            exact = teeth * tooth_pitch if whole else size  # the same flanks meet after whole teeth
             correction[begin + place :] += exact
             part[place:] -= exact
             error[end:] -= exact
@@ -225,7 +225,7 @@ def find_steps(
 
 
 def _largest_jump(values: Floats) -> tuple[float, int]:
-    """Largest change over `_WIDTH` rows, and the row that it ends at."""
+    """Largest change over `_WIDTH` rows [rad], and the row where it ends."""
     found = []
     for rows, _, _ in blocks(_WIDTH, values.size):
         jump = np.abs(values[rows] - values[rows.start - _WIDTH : rows.stop - _WIDTH])

@@ -1,4 +1,4 @@
-"""What a model is worth on rows that no fit saw: residuals, gain, and what is left over the noise."""
+"""Value of a model on held-out rows: residuals, gain, and misfit over the noise."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ Rows = npt.NDArray[np.bool_]
 _HELD_OUT = 4  # every fourth run, or stretch of a single run, is held out
 _STRETCHES = 12
 _SLICE = 1.0  # length of a block of the bootstrap [s]
-_TORQUES, _RARE = 16, 0.02  # classes of torque; share of the rows that makes one known
-_KNOWN = 0.9  # of the held-out rows, whose torque is known from others
+_TORQUES, _RARE = 16, 0.02  # torque classes; share of the fitted rows that makes a class known
+_KNOWN = 0.9  # least share of held-out rows whose torque class is known
 _LEAST_FITTED, _LEAST_UNSEEN = 100, 25  # rows: a fit has some thirty columns
 
 
@@ -43,15 +43,15 @@ _LEAST_FITTED, _LEAST_UNSEEN = 100, 25  # rows: a fit has some thirty columns
 class Rms:
     """Root mean squares on held-out data [rad].
 
-    `extended` is that of the model as it runs, with causal signals, along the record; `named` the same
-    without its order table; `offline` that of the fit's own signals; `live` that of the model as it runs with
-    the torque as reported, not smoothed. All but the first two contain `wandering`: how causes wander in
-    amplitude and phase, which nothing foretells. The noise is `repeated` if it is from states that were
-    passed again; else it is a lower bound, from differences between neighbours. `wandering_offline` is what
-    wanders of `offline`. `slow` and `gear` are what is left of means over turns of the input, and within
-    these, over the noise [-]; `beyond` is the first over the fit's noise, slow noise included.
-    Where a model with causes left more as it ran than the parameters alone, that is
-    `discarded`, less wandering, and the first two are of the parameters alone.
+    `extended` belongs to the model as it runs along the record, with causal signals; `named` to the same
+    model without its order table; `offline` to the fit's own signals; `live` to the running model with the
+    reported, unsmoothed torque. All of them contain `wandering`: unpredictable changes of the causes in
+    amplitude and phase. `wandering_offline` is the wandering part of `offline`. The noise is `repeated` if it
+    comes from states that the motion passed again; otherwise it is a lower bound, from differences between
+    neighbours. `slow` is the residual in means over turns of the input, over the noise [-]; `gear` is that
+    within turns; `beyond` is the slow part over the fit's noise, which includes slow noise.
+    A running model that is worse with causes than without is discarded: `discarded` is its residual without
+    wandering, and `named`, `extended`, `live` and `wandering` belong to the parameters alone.
     """
 
     nominal: float
@@ -72,37 +72,37 @@ class Rms:
     discarded: float = field(default=math.nan, kw_only=True)
 
     def running(self, other: Rms) -> Rms:
-        """With another model in the place of the one that ran, which is discarded."""
+        """With another model in place of the running one, whose residual is kept as `discarded`."""
         own = {name: getattr(other, name) for name in ("named", "extended", "live", "wandering")}
         return replace(self, **own, discarded=self.foretellable)
 
     @property
     def left(self) -> float:
-        """Residual less the wandering of causes, as fitted or as the model runs.
+        """Residual without wandering: the smaller one of the running model and the offline fit.
 
-        Its signals are late where it runs, which speaks against no cause; as fitted it has no order table.
+        The running model has late signals, which count against no cause. The fit has no order table.
         """
         return min(self.foretellable, math.sqrt(max(self.offline**2 - self.wandering_offline**2, 0.0)))
 
     @property
     def foretellable(self) -> float:
-        """Residual of the model as it runs, less the wandering of causes."""
+        """Residual of the running model without the wandering of causes."""
         return math.sqrt(max(self.extended**2 - self.wandering**2, 0.0))
 
     @property
     def with_causes(self) -> float:
-        """What the model with causes leaves: as it ran, where that was discarded."""
+        """Residual of the model with causes; the one that was discarded, if any."""
         return self.left if math.isnan(self.discarded) else self.discarded
 
     @property
     def hides_lines(self) -> bool:
-        """Whether more than noise is left at the gear's lines, or nobody knows."""
+        """Whether the residual at the gear's lines exceeds the noise, or is unknown."""
         return not self.gear < MISFIT
 
     def overstated(self, slow: float) -> float:
-        """By how much deviations are too small by the fit's noise, of what is slow to such a share.
+        """Factor by which the fit's noise understates the deviation of a cause with this `slow` share.
 
-        What is left in the other band says nothing of it.
+        Each band counts by the cause's share in it, as a misfit in one band says nothing about the other.
         """
         if not self.misfit.suspected:
             return 1.0
@@ -111,12 +111,12 @@ class Rms:
 
     @property
     def without_causes(self) -> float:
-        """What the parameters alone leave, or the configured drive if that is less."""
+        """Residual of the parameters alone, or of the configured drive if smaller."""
         return min(self.refit, self.nominal)
 
     @property
     def misfit(self) -> Misfit:
-        """What is `left` over the noise."""
+        """Residual `left` over the noise, with its interval."""
         value, low, high = (
             self.left / max(one, 1e-300) for one in (self.noise, self.noise_high, self.noise_low)
         )
@@ -125,7 +125,10 @@ class Rms:
 
 @dataclass(frozen=True)
 class Gain:
-    """Share of the nominal model's mean square that the extended model explains, with its 95 % interval."""
+    """Share of the nominal model's mean square that the extended model explains, with its 95 % interval.
+
+    `held_out` says in words which rows were held out.
+    """
 
     fraction: float
     low: float
@@ -136,7 +139,7 @@ class Gain:
 class Misfit(NamedTuple):
     """Held-out rms of the extended model over the noise, and its interval [-].
 
-    The noise is `measured` where states were passed again; else the value is the most that it may be.
+    The noise is `measured` if the motion passed the same states again; otherwise the value is an upper bound.
     """
 
     value: float
@@ -146,26 +149,26 @@ class Misfit(NamedTuple):
 
     @property
     def suspected(self) -> bool:
-        """Whether what is left may be more than noise: then something is `unexplained`, and nothing named."""
+        """Whether the residual may exceed the noise: then something is `unexplained`."""
         return self.value > MISFIT or (self.low > MORE and self.high > MISFIT)
 
     @property
     def certain(self) -> bool:
-        """Whether what is left is certainly more than noise."""
+        """Whether the residual certainly exceeds the noise."""
         return (self.value if self.measured else self.low) > MISFIT
 
 
 def held_out(record: Record, good: Rows | None = None) -> tuple[Rows, str]:
-    """Rows that no fit sees, shape (n,), and in words which: whole recordings or runs, or stretches.
+    """Held-out rows as a mask (n,), and a description: whole recordings or runs, or stretches.
 
-    Never the last: a slow drift is foretold from what comes before and after. Some of the rows that are
-    `good` for a fit (n,) are among them, and most are not; all are where it is not given. Other rows have
-    their torques, too: no model foretells what a joint does under torques that nobody has shown it.
+    The last part is never held out: predicting a slow drift needs data on both sides. `good` (n,) marks rows
+    that are usable in a fit, by default all; enough of them are on each side of the division. If possible,
+    the fitted rows cover the torques of the held-out ones: no model predicts unseen torques.
 
     Raises
     ------
     RecordError
-        Where there are too few of these.
+        If no division has enough good rows on both sides.
     """
     good = np.ones(record.size, bool) if good is None else good
     enough = [
@@ -183,14 +186,14 @@ def held_out(record: Record, good: Rows | None = None) -> tuple[Rows, str]:
 
 
 def _known_torques(torque: Floats, unseen: Rows, seen: Rows) -> float:
-    """Share of rows that are not seen whose torque is one of those seen, by a histogram."""
+    """Share of the unseen rows (n,) whose torque (n,) is in a histogram class that seen rows (n,) cover."""
     edges = np.linspace(float(torque.min()), float(torque.max()) + 1e-9, _TORQUES + 1)
     there, known = (np.histogram(torque[rows], edges)[0] for rows in (unseen, seen))
     return float(there[known >= _RARE * known.sum()].sum() / max(int(there.sum()), 1))
 
 
 def _divisions(record: Record, good: Rows) -> Iterator[tuple[Rows, str]]:
-    """Ways to hold rows out, in words too, the best first."""
+    """Possible divisions, the best first: mask of held-out rows (n,) and its description."""
     bags = np.unique(record.bag)
     if bags.size >= _HELD_OUT:
         rows = _every_fourth(np.searchsorted(bags, record.bag), bags.size)
@@ -208,7 +211,7 @@ def _divisions(record: Record, good: Rows) -> Iterator[tuple[Rows, str]]:
 
 
 def _every_fourth(number: Integers, count: int) -> Rows:
-    """Rows of the parts that are held out, by the number of each row's part; the last part is none."""
+    """Mask (n,) of held-out rows: every fourth of `count` parts, except for the last; part numbers (n,)."""
     return np.asarray((number - count) % _HELD_OUT == _HELD_OUT // 2)
 
 
@@ -227,13 +230,16 @@ def measured_gain(
     every: LinearisedFit,
     rng: np.random.Generator,
 ) -> tuple[Rms, Gain]:
-    """Residuals of held-out rows; `every` fits all rows, so that its effects remember what came before."""
-    plain = replace(plain, whiten=found.fit.whiten)  # one noise model, that of the whole model, for both
+    """Residuals on held-out rows, and the gain.
+
+    The fit `every` covers all rows, so that effects with memory know what came before a held-out row.
+    """
+    plain = replace(plain, whiten=found.fit.whiten)  # both fits use the whole model's noise model
     configured, fitted = every.data.configured, every.data.mask
     beside = tuple(one for one, _ in plain.present)
 
     def unseen(residual: Floats) -> Floats:
-        """Residual of held-out rows, less drift or the offset of its recording, of fitted rows if any."""
+        """Residual of held-out rows without drift or offset; offsets are those of fitted rows, if any."""
         if record.by_velocity:
             own = fitted & test
             return without_drift(residual[own], record.time[own], record.bag[own])
@@ -260,7 +266,7 @@ def measured_gain(
     rows_fitted = Remainder.of(found.fit, found.chosen).residual - described
     noise = found.fit.data.noise_of(rows_fitted)
     most = noise.high
-    if not noise.repeated:  # stretches of one move differ by slow noise too; torsion unmeasured is no noise
+    if not noise.repeated:  # stretches also differ by slow noise, but unmeasured torsion is not noise
         beyond = max(_rms(extended) / max(_rms(rows_fitted), 1e-300), 1.0)
         most = beyond * noise.high if record.has_torque else noise.rms
     parts = [effect.wandering(every.whole, nonlinear) for effect, nonlinear in found.chosen]
@@ -272,7 +278,7 @@ def measured_gain(
     foreseen, whiten = offline - projection(wandering, offline), found.fit.whiten
     encoders = replace(whiten, slow=0.0)
     slow, gear = _bands(foreseen, rest, encoders, rng)
-    # A line under torques that no other row has is not foretold: is it in what the fitted rows leave?
+    # A line at torques of held-out rows alone is unpredictable, so the fitted rows' residual counts too.
     gear = min(gear, _bands(rows_fitted, renumbered(found.fit.data.record), encoders, rng)[1])
     rms = Rms(
         nominal=_rms(nominal),
@@ -295,10 +301,10 @@ def measured_gain(
 
 
 def _bands(left: Floats, rows: Record, noise: Whitening, rng: np.random.Generator) -> tuple[float, float]:
-    """What is left (n,) over the noise: of means over turns of the input, and within these.
+    """Residual (n,) over the noise [-]: of means over turns of the input, and within turns.
 
-    The gear's lines are within a turn that is gone through; where the joint turns round, what is slow is
-    within it too. The noise has the colour that was measured, along the same rows.
+    Only complete turns show the gear's lines; slow parts also vary within a turn where the motion reverses.
+    The reference is simulated noise of the measured colour along the same rows.
     """
     turn, lines = rows.turn, rows.through
     alike = noise.drawn(left.size, rng)
@@ -313,7 +319,7 @@ def _bands(left: Floats, rows: Record, noise: Whitening, rng: np.random.Generato
 
 
 def explained(before: Floats, after: Floats, number: Integers, which: str, rng: np.random.Generator) -> Gain:
-    """Share of a residual's mean square that another model explains, by a bootstrap of numbered stretches."""
+    """Gain of the residual `after` over `before` (n,), with an interval by bootstrap over stretches (n,)."""
     whole, rest = (np.asarray(np.bincount(number, one**2), np.float64) for one in (before, after))
     low, high = interval(rest, rng, whole)
     return Gain(1.0 - float(rest.sum() / whole.sum()), 1.0 - high, 1.0 - low, which)
@@ -326,12 +332,13 @@ def _nominal_residual(record: Record, configured: Drive) -> Floats:
 
 
 def _residual_of(fit: LinearisedFit, trained: LinearisedFit, chosen: Chosen) -> Floats:
-    """Residual of all rows of a fit, with coefficients trained on some rows [rad].
+    """Residual of all rows of a fit [rad], with coefficients from a fit to some rows.
 
-    Unmodelled terms are fitted, but are no part of the model; nor is what a cause wanders by.
+    The model excludes unmodelled terms, effects that do not last, and the columns by which a cause wanders,
+    although all of them are fitted.
     """
     beta, _, _ = trained.fit(chosen)
-    own = fit.parameters.size  # zeros are those of the rows that each has
+    own = fit.parameters.size  # without encoder zeros, which belong to the rows of each fit
     residual = fit.effects.uncorrected - fit.jacobian @ beta[:own]
     sized = tuple((item, part[: item[0].size]) for item, part in trained.sized(chosen, beta))
     causes = tuple(one for one in sized if one[0][0].lasting and not isinstance(one[0][0], UnmodelledTerm))

@@ -1,4 +1,4 @@
-"""What a diagnosis comes to: the kind of answer, its grounds, and how bad the joint is."""
+"""Conclusion of a diagnosis: the kind of answer, its evidence, and how bad the joint is."""
 
 from __future__ import annotations
 
@@ -19,35 +19,35 @@ from hd_diag.formatting import ARCSEC, words
 
 Judgement = Literal["as_configured", "parameters", "causes", "described", "misfit", "not_judged"]
 
-_LEAST_SHARE = 0.05  # of the noise, below which what a parameter changes is of no use
+_LEAST_SHARE = 0.05  # of the noise; a parameter with a smaller effect is not reported
 _BY_TORQUE = ("tooth_compliance", "cup_compliance")
 
 Beside = Literal["within", "near", "beyond", "open"]
-"""A value beside its limit: under it, over it, too near to it to tell which, or unknown."""
+"""A value against its limit: under it, too near to decide, over it, or unknown."""
 
 
 _LOOP = "hysteresis"
-_ENCODER = 600.0 * ARCSEC  # of the input: what a resolver's data sheet allows
-_DISC = 10.0 * ARCSEC  # of the output's encoder: a disc of 100 mm that is mounted to 2.5 um
+_ENCODER = 600.0 * ARCSEC  # input encoder: tolerance in a resolver's data sheet
+_DISC = 10.0 * ARCSEC  # output encoder: a disc of 100 mm mounted to 2.5 um
 _USUAL = {
-    _LOOP: 0.5 * USUAL_LOOP,  # to either side
+    _LOOP: 0.5 * USUAL_LOOP,  # half of a peak-to-peak value
     "input_encoder_eccentricity": _ENCODER,
     "encoder_interpolation": _ENCODER,
     "output_encoder_eccentricity": _DISC,
-    "output_runout": _DISC,  # a flange's: no record tells them apart
+    "output_runout": _DISC,  # a flange's; no record can distinguish it from the disc's
     "output_encoder_interpolation": _DISC,
 }
-"""Largest values that a new joint may have; of waves those of the first."""
+"""Largest values that a new joint may have; of several waves, the first one counts."""
 
 _FRICTION = ("coulomb_windup", "viscous_windup")
-"""Causes that are usual up to the effect's usual size: chosen, two per cent of the rated torque, 1 N m of a
-joint of 56 N m, as bearing and seals of a new one drag."""
+"""Causes that are usual up to the effect's usual size. Chosen: two per cent of the rated torque (1 N m in a
+joint of 56 N m), the drag of new bearings and seals."""
 
 
 def is_usual(cause: Cause) -> bool:
-    """Whether a new joint may have it as large: all but what is beyond a usual size for certain.
+    """Whether a new joint may have a cause of this size, that is, unless it certainly exceeds a usual size.
 
-    Where the record cannot tell it from others, it is usual if any of these would be in its place.
+    If the record cannot distinguish it from others, it is usual if any of these would be usual in its place.
     """
     value, way = _size(cause.effect, cause.coefficients)
     spread = math.sqrt(max(float(way @ cause.covariance[: way.size, : way.size] @ way), 0.0))
@@ -55,7 +55,7 @@ def is_usual(cause: Cause) -> bool:
     for effect, coefficients in ((cause.effect, cause.coefficients), *cause.others):
         limit = float(effect.usual[0]) if effect.name in _FRICTION else _USUAL.get(effect.name, -math.inf)
         own, _ = _size(effect, coefficients)
-        # A loop may be wider beyond the torques of the record than in it.
+        # Only the loop width within the record's torques counts.
         shown = min(own, cause.reach) if effect.name == _LOOP else own
         if shown * certain <= limit:
             return True
@@ -63,7 +63,7 @@ def is_usual(cause: Cause) -> bool:
 
 
 def _size(effect: Effect, coefficients: Floats) -> tuple[float, Floats]:
-    """Size of a loop's both parts, or of a wave's cosine and sine; and its derivative by these."""
+    """Sum of a loop's two absolute parts, or amplitude of a wave's cosine and sine; its gradient (2,)."""
     own = coefficients[:2]
     norm = 1 if effect.name == _LOOP else 2
     value = float(np.linalg.norm(own, norm))
@@ -71,7 +71,7 @@ def _size(effect: Effect, coefficients: Floats) -> tuple[float, Floats]:
 
 
 class Limited(NamedTuple):
-    """A quantity with its standard deviation beside its limit, all in `unit`."""
+    """A quantity with its standard deviation and its limit, all in `unit`."""
 
     quantity: str
     value: float
@@ -81,15 +81,14 @@ class Limited(NamedTuple):
 
     @property
     def within(self) -> bool | None:
-        """Whether it is under the limit with its whole interval, or over it; None where that is not known."""
+        """True if the whole interval is under the limit, False if it is over, None if undecided."""
         return {"within": True, "beyond": False}.get(self.place)
 
     @property
     def place(self) -> Beside:
-        """Where its 95 % interval is; ``near`` where that holds the limit.
+        """Place of the 95 % interval; ``near`` if it contains the limit.
 
-        With an unknown deviation (nan) a value under the limit says nothing, one over it no more than
-        ``near``.
+        If the deviation is unknown (nan), a value under the limit is ``open`` and one over it is ``near``.
         """
         value, limit = self.value, self.limit
         if math.isnan(value) or math.isnan(limit):
@@ -102,7 +101,7 @@ class Limited(NamedTuple):
 
 
 class Change(NamedTuple):
-    """A parameter that is not as configured; `explains` is what it changes in the error [rad rms]."""
+    """A parameter that is not as configured; `explains` is its effect on the error [rad rms]."""
 
     name: str
     value: float
@@ -114,13 +113,13 @@ class Change(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What a diagnosis comes to, each part computed once."""
+    """Conclusion of a diagnosis, with each part computed once."""
 
     diagnosis: Diagnosis
 
     @cached_property
     def judgement(self) -> Judgement:
-        """Kind of the answer; ``misfit`` goes before all that was fitted."""
+        """Kind of the answer; ``misfit`` takes precedence over all fitted results."""
         found = self.diagnosis
         if found.rms is None:
             return "not_judged"
@@ -136,15 +135,16 @@ class Answer:
 
     @property
     def vague(self) -> bool:
-        """Whether a displacement may be a part of what is left at the gear's lines."""
+        """Whether a displacement may be part of the residual at the gear's lines."""
         rms = self.diagnosis.rms
         return bool(rms and rms.misfit.suspected and rms.hides_lines)
 
     @cached_property
     def changes(self) -> list[Change]:
-        """Parameters that are not as configured, the one that changes the error most first.
+        """Parameters that are not as configured; the one with the largest effect on the error first.
 
-        No compliance where the torque is a motor's current: only its product with the constant shows.
+        Compliances are excluded if the torque is a motor's current, which shows only their product with the
+        torque constant.
         """
         found = self.diagnosis
         if found.refitted is None or not found.refitted.trustworthy:
@@ -164,7 +164,7 @@ class Answer:
 
     @property
     def eccentricity(self) -> float:
-        """Its value, found or as configured [m]; nan where nothing is."""
+        """Magnitude of the eccentricity, found or as configured [m]; nan without a trustworthy fit."""
         found = self.diagnosis
         if found.refitted is None or not found.refitted.trustworthy:
             return math.nan
@@ -173,7 +173,7 @@ class Answer:
 
     @property
     def tolerance(self) -> Limited | None:
-        """The eccentricity beside its limit; None without one. In a misfit its standard deviation is nan."""
+        """The eccentricity and its limit; None without a limit. In a misfit its standard deviation is nan."""
         most = self.diagnosis.allowed
         if most is None:
             return None
@@ -183,7 +183,7 @@ class Answer:
 
     @cached_property
     def accuracy(self) -> Accuracy | None:
-        """The joint's error, from peak to peak; None where signals are wrong."""
+        """The joint's peak-to-peak error; None if its signals are wrong."""
         found = self.diagnosis
         if any(finding.fatal for finding in found.findings):
             return None
@@ -196,9 +196,9 @@ class Answer:
 
     @cached_property
     def normal(self) -> Limited | None:
-        """The joint's error beside what its catalogue allows; None where nothing can be said.
+        """The joint's error and its catalogue's limit; None if it cannot be judged.
 
-        Without a measured torque an error that is not plainly small may be torsion: nothing is said.
+        Without a measured torque, an error may be torsion and is only judged if it is within the limit.
         """
         if self.accuracy is None:
             return None
@@ -208,7 +208,7 @@ class Answer:
 
     @property
     def evidence(self) -> dict[str, Any]:
-        """Numbers that the judgement stands on."""
+        """Numbers behind the judgement."""
         found = self.diagnosis
         return {
             "residual_over_noise": found.misfit.value if found.misfit else math.nan,
@@ -222,7 +222,7 @@ class Answer:
 
 
 def _noise(diagnosis: Diagnosis) -> tuple[float, float]:
-    """Mean square of the noise and its standard deviation [rad²]; zero where it is unknown."""
+    """Mean square of the noise and its standard deviation [rad²]; zero if unknown."""
     if diagnosis.rms is None or not math.isfinite(diagnosis.rms.noise):
         return 0.0, 0.0
     low, high = diagnosis.rms.noise_low, diagnosis.rms.noise_high
@@ -230,7 +230,7 @@ def _noise(diagnosis: Diagnosis) -> tuple[float, float]:
 
 
 def first_words(answer: Answer) -> str:
-    """What the verdict begins with: whether the model describes the record, and how bad the joint is."""
+    """Beginning of the verdict: whether the model describes the record, and how bad the joint is."""
     fatal = [finding for finding in answer.diagnosis.findings if finding.fatal]
     return f"First of all: {fatal[0].text}" if fatal else "; ".join([*_misfit(answer), *_severity(answer)])
 
@@ -260,7 +260,7 @@ def _misfit(answer: Answer) -> list[str]:
 
 
 def _severity(answer: Answer) -> list[str]:
-    """The joint beside its catalogue's accuracy, and its eccentricity beside what the assembly may have."""
+    """The joint's error against its catalogue's accuracy, and its eccentricity against the tolerance."""
     usual, assembly = answer.normal, answer.tolerance
     parts = ["whether the joint is within its accuracy cannot be judged without its torque"]
     if usual is not None and answer.accuracy is not None:
@@ -275,7 +275,7 @@ def _severity(answer: Answer) -> list[str]:
 
 
 def _beside(one: Limited, who: str, limit: str, of: str, unit: float, digits: int) -> str:
-    """Where a value is beside its limit, in words; its deviation is said where that decides."""
+    """A value against its limit, in words; an undecided one is given with its deviation."""
     value = f"{one.value * unit:.{digits}f}"
     if one.within is not None:
         if not float(value):

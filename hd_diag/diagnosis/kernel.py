@@ -1,4 +1,4 @@
-"""Filter over long columns, compiled when first called."""
+"""Filters over long columns, compiled on the first call."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import numpy as np
 from hd_diag.arrays import Floats, Integers
 from hd_diag.model.kernel.compiler import entry_point
 
-_BLOCK = 1024  # values that stay in the fastest memory while all taps pass over them
+_BLOCK = 1024  # values that stay in the fastest cache while all taps are applied
 
 
 @entry_point
 def filtered(columns: Floats, taps: Floats, edges: Integers) -> Floats:
-    """Columns (n, k) filtered by taps (m,) from edge to edge, zero where fewer than m rows are known.
+    """Columns (n, k) filtered by taps (m,) between edges; the first m - 1 rows after an edge are zero.
 
-    m is a multiple of three: so many taps at a time are twice as fast as one.
+    m is a multiple of three, as three taps at a time are twice as fast as one.
     """
     width, reach, result = columns.shape[1], taps.size - 1, np.zeros(columns.shape)
     flat, filled = columns.reshape(columns.size), result.reshape(columns.size)
@@ -34,10 +34,11 @@ def filtered(columns: Floats, taps: Floats, edges: Integers) -> Floats:
 
 @entry_point
 def innovations(columns: Floats, edges: Integers, slow: float, kept: float) -> tuple[Floats, float]:
-    """What white noise of variance one and slow noise beside it leave to be foretold, in its deviations.
+    """Normalised innovations (n, k) of columns (n, k) with white noise of variance one plus slow noise.
 
-    Columns (n, k), from edge to edge; slow noise of deviation `slow`, of which a row keeps the share `kept`
-    of the one before (Kalman, J. Basic Engineering 82, 1960). With it half the logarithm of the variances.
+    The slow noise has standard deviation `slow`, and each row keeps the share `kept` of the previous one
+    (Kalman, J. Basic Engineering 82, 1960). The state restarts at each edge. The second result is half the
+    sum of the log variances.
     """
     result, logarithm = np.empty(columns.shape), 0.0
     state = np.zeros(columns.shape[1])
@@ -57,6 +58,6 @@ def innovations(columns: Floats, edges: Integers, slow: float, kept: float) -> t
 
 
 def warm_up() -> None:
-    """Compile now, or read from the disk."""
+    """Compile now, or load the cached code from disk."""
     innovations(np.zeros((1, 1)), np.array([0, 1]), 1.0, 0.5)
     filtered(np.zeros((1, 1)), np.ones(3), np.array([0, 1]))

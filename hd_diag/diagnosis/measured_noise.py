@@ -1,4 +1,4 @@
-"""Noise as it is measured: what differs when the same state is passed again, whatever the model."""
+"""Model-free noise of a record, from differences between two passes of the same state."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.stamps import usual_step
 from hd_diag.effects.signals import Signals
 
-_QUERIES, _KNOWN, _NEIGHBOURS = 6000, 24_000, 24  # moments looked from, and to, and how many nearest
-_PAIRS = 4  # of each moment
-_APART = 0.5  # [s], beyond which noise of an encoder has forgotten itself
-_WAY = 1.0  # [rad] of the input, in between: a rest is not passed again
-_NEAR = 8.0  # square of the distance [-] of states that count as the same
-_LAG = 0.2  # [s], over which the torque's rise tells the branch of a loop
+_QUERIES, _KNOWN, _NEIGHBOURS = 6000, 24_000, 24  # moments queried, moments searched, nearest neighbours
+_PAIRS = 4  # most pairs of one moment
+_APART = 0.5  # least time between the two moments, so that encoder noise is uncorrelated [s]
+_WAY = 1.0  # least input travel between them, so that a rest does not count as a revisit [rad]
+_NEAR = 8.0  # largest squared distance of states that count as the same [-]
+_LAG = 0.2  # time over which the torque's rise shows the branch of a loop [s]
 _LEAST_PAIRS, _LEAST_SLICES = 400, 8
-_SLOW = 3.0  # [s]: what is constant for so long is no noise of an encoder
-_SLICE = 0.5  # of the bootstrap [s]
-_VAGUE = 1.5  # ratio of the interval's ends from which nothing is extrapolated
+_SLOW = 3.0  # parts that stay constant for so long are not encoder noise [s]
+_SLICE = 0.5  # length of a bootstrap slice [s]
+_VAGUE = 1.5  # ratio of the interval's ends above which the extrapolation is dropped
 _DRAWS = 200
-_OWN = 0.06  # of it: slow noise that leading back takes for a difference of states
-_DIFFERENCE = 6  # order of the difference that no smooth motion makes
-_QUICKEST = 0.25  # of their variance, that noise has at least in every wave
-_WHOLE = 0.02  # of a step, by which counts may be off whole numbers
-_MOST_STEPS = 1000.0  # between neighbours, for counts that can be recognised
+_OWN = 0.06  # relative error: extrapolation takes some slow noise for a difference of states
+_DIFFERENCE = 6  # order of a difference that removes any smooth motion
+_QUICKEST = 0.25  # least noise at any frequency, over the variance of the sixth differences
+_WHOLE = 0.02  # tolerance of a whole number of counts [counts]
+_MOST_STEPS = 1000.0  # largest median change between neighbours that still shows counts [counts]
 
 
 class MeasuredNoise(NamedTuple):
     """Noise of a record [rad rms], and its 95 % interval; `repeated` if states were passed again.
 
-    It is `vague` where passes disagree too much to be extrapolated: then it may be all that differs.
+    It is `vague` if the passes disagree too much to extrapolate. It is then the rms of all differences.
     """
 
     rms: float
@@ -48,9 +48,9 @@ class MeasuredNoise(NamedTuple):
 
 
 class Revisits(NamedTuple):
-    """Pairs of moments at which the drive is in nearly the same state, in passes of their own.
+    """Pairs of moments at which the drive is in nearly the same state, in separate passes.
 
-    Their rows (n,), and the squares of the distances of the states, kind by kind, (n, k) [-].
+    `first` and `second` are row indices (n,); `apart` holds squared distances per kind of state (n, k) [-].
     """
 
     first: Integers
@@ -59,11 +59,11 @@ class Revisits(NamedTuple):
 
 
 NEVER = Revisits(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty((0, 1)))
-"""Of a motion that never comes back."""
+"""Empty result for a motion that never passes a state again."""
 
 
 def revisits(signals: Signals) -> Revisits:
-    """Moments at which wave generator, output, torque and its rise, speed and direction come back."""
+    """Pairs of moments with nearly the same angles, torque, torque rise, speed, direction and time."""
     state, kinds = _states(signals)
     rng, size = np.random.default_rng(0), signals.size
     known = np.sort(rng.choice(size, min(_KNOWN, size), replace=False))
@@ -85,16 +85,17 @@ def revisits(signals: Signals) -> Revisits:
 def measured_noise(
     residual: Floats, time: Floats, run: Integers, passed: Revisits, counted: float
 ) -> MeasuredNoise:
-    """Noise of a residual (n,) [rad]; an error of the model is the same in the same state and drops out.
+    """Noise of a residual (n,) [rad]; a model error is the same in the same state and cancels.
 
-    Times are in s, a run has no gap; what encoders that count leave is `counted` [rad].
+    Times are in s, and a run has no gap. `counted` is the quantisation noise of the encoders [rad], a lower
+    limit.
 
     Notes
     -----
-    Half the mean square difference of pairs (variogram), led back to states that are the same (its nugget:
-    Matheron, Economic Geology 58, 1963) by a straight line in the squares of their distances. Without states
-    that come back: sixth differences, which tell white noise alone: a lower bound. The upper one is then what
-    changes within some seconds.
+    The variogram is half the mean square difference of pairs. A straight line in the squared distances
+    extrapolates it to distance zero (its nugget: Matheron, Economic Geology 58, 1963). Without revisited
+    states, sixth differences measure only the white noise: a lower bound. The upper bound is then the rms of
+    all changes within `_SLOW` seconds.
     """
     least = max(_of_short_differences(residual, run), counted)
     slice_ = slices(time, run, _SLICE)[passed.first]
@@ -110,24 +111,25 @@ def measured_noise(
     low, high = (np.sqrt(unit * np.quantile(drawn, (0.025, 0.975))) * (1.0 - _OWN, 1.0 + _OWN)).tolist()
     rms = math.sqrt(unit * _nuggets(grams.sum(axis=0)[None], moments.sum(axis=0)[None])[0])
     vague = bool(high > _VAGUE * low)
-    if vague:  # too few to lead them back
+    if vague:  # too few pairs to extrapolate
         rms = high = math.sqrt(float(half.mean()))
     low = max(min(low, rms), (1.0 - _OWN) * least)
     return MeasuredNoise(max(rms, least), low, max(high, rms, least), True, vague)
 
 
 def measured_covariance(residual: Floats, run: Integers, passed: Revisits, noise: MeasuredNoise) -> Floats:
-    """Covariances of the noise at lags 0 to ORDER [rad^2], whatever misfit is in a residual.
+    """Covariances of the noise at lags 0 to ORDER [rad^2], shape (ORDER + 1,), without the residual's misfit.
 
-    Those of the differences between passes; what the noise leaves of their variance is misfit as well, and
-    changes little over so few samples. Where it changes, these are no covariances: they are shrunk towards
-    white noise of the same variance, until no wave has less of it than a share of the quickest differences.
+    They are those of the differences between passes. Variance beyond the noise is misfit, which hardly
+    changes over so few samples, so it is subtracted at all lags. If it does change, the result may be no
+    valid covariance. It is then shrunk towards white noise of the same variance until every frequency has at
+    least a fixed share of the variance of the sixth differences.
     """
     last = np.maximum(passed.first, passed.second) + ORDER < run.size
     first, second = passed.first[last], passed.second[last]
     whole = (run[first + ORDER] == run[first]) & (run[second + ORDER] == run[second])
     first, second = first[whole], second[whole]
-    if not first.size:  # no pass is long enough: white
+    if not first.size:  # white, as no pass is long enough
         return np.asarray(noise.rms**2 * np.eye(1, ORDER + 1)[0])
     away = np.stack([residual[first + lag] - residual[second + lag] for lag in range(ORDER + 1)])
     found = np.array([0.5 * float(np.mean(away[: ORDER + 1 - lag] * away[lag:])) for lag in range(ORDER + 1)])
@@ -140,7 +142,7 @@ def measured_covariance(residual: Floats, run: Integers, passed: Revisits, noise
 
 
 def _states(signals: Signals) -> tuple[Floats, Integers]:
-    """State of every moment, (n, k), in units within which nothing changes much; kinds of the coordinates."""
+    """State of every moment (n, k), scaled so that one unit changes little; kind of each coordinate (k,)."""
     load, speed = signals.torque, signals.forward_speed
     span = max(float(np.ptp(load)), 0.02 * signals.rated_torque)
     fast = max(float(np.percentile(np.abs(speed), 99)), 1e-9)
@@ -170,7 +172,7 @@ def _by_slice(columns: Floats, target: Floats, number: Integers) -> tuple[Floats
 
 
 def _nuggets(gram: Floats, moment: Floats) -> list[float]:
-    """First coefficient of each of n non-negative least squares, by Gram matrices (n, k, k)."""
+    """First coefficient of n non-negative least squares, from normal equations (n, k, k) and (n, k)."""
     ridge = 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None]
     root = np.linalg.cholesky(gram + ridge * np.eye(gram.shape[-1]))
     target = np.linalg.solve(root, moment[..., None])[..., 0]
@@ -178,7 +180,7 @@ def _nuggets(gram: Floats, moment: Floats) -> list[float]:
 
 
 def _of_short_differences(values: Floats, run: Integers) -> float:
-    """Rms of noise that is white, from differences between neighbours [rad]."""
+    """Rms of the white noise in values (n,), from their sixth differences within runs [rad]."""
     order = _DIFFERENCE
     if values.size <= order:
         return 0.0
@@ -189,7 +191,7 @@ def _of_short_differences(values: Floats, run: Integers) -> float:
 
 
 def _quick(values: Floats, time: Floats, run: Integers) -> float:
-    """Rms of values less their mean over each `_SLOW` seconds [rad]."""
+    """Rms of values (n,) about their mean over each `_SLOW` seconds [rad]."""
     number = slices(time, run, _SLOW)
     count = np.bincount(number)
     rest = values - (np.bincount(number, values) / count)[number]
@@ -197,17 +199,17 @@ def _quick(values: Floats, time: Floats, run: Integers) -> float:
 
 
 def count_steps(record: Record, ratio: float) -> tuple[float, float]:
-    """Steps of the input's encoder, at the output, and of the output's [rad]; 0 where none is found."""
+    """Count steps of the input encoder (over the ratio) and of the output encoder [rad]; 0 if none."""
     return _step(record.input_angle, record.run) / abs(ratio), _step(record.output_angle, record.run)
 
 
 def rounding(step: float) -> float:
-    """Rms of what rounding to steps leaves [rad]."""
+    """Rms quantisation error of a count step [rad]."""
     return step / math.sqrt(12.0)
 
 
 def _step(angle: Floats, run: Integers) -> float:
-    """Step of an encoder that counts [rad]; zero where none is found."""
+    """Count step of an encoder [rad], from its angle (n,); zero if the angle shows no counts."""
     change = np.abs(np.diff(angle))[np.diff(run) == 0]
     moved = change[change > 1e-12]
     if moved.size < 0.01 * change.size or not moved.size:

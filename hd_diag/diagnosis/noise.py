@@ -1,4 +1,4 @@
-"""Coloured noise: an autoregressive model of the residual, and the filter that whitens it run by run."""
+"""Coloured noise: an autoregressive model of the residual, and the filter that whitens each run."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hd_diag.arrays import Floats, Integers
 ORDER = 20
 """Order of the autoregressive model [samples]."""
 
-_LEAST = 1e-9  # of the variance, that white noise has at least
+_LEAST = 1e-9  # least share of white noise in the variance
 
 
 @dataclass(frozen=True)
@@ -26,12 +26,12 @@ class Whitening:
     Attributes
     ----------
     coefficients : ndarray, shape (ORDER,)
-        a_k.
+        The values a_k.
     scale : float
         Standard deviation of w [rad].
     slow, kept : float
-        Of what no model describes, beside the noise: its deviation once it is whitened, and the share of it
-        that is left after a row.
+        Slow noise that no model describes, in addition: its standard deviation after whitening [-], and the
+        share of it that a row keeps from the previous one.
     """
 
     coefficients: Floats
@@ -42,8 +42,8 @@ class Whitening:
     def __call__(self, columns: Floats, run: Integers) -> Floats:
         """Whitened columns, (n,) or (n, k), in units of the innovation.
 
-        The filter restarts where the run (n,) changes: the first ORDER samples of a run are foretold from
-        those before them, as many as there are.
+        The filter restarts where the run (n,) changes. Each of the first ORDER samples of a run is predicted
+        from all samples before it in the run.
         """
         if not columns.size:
             return np.zeros_like(columns)
@@ -61,7 +61,7 @@ class Whitening:
         return np.asarray(white.reshape(columns.shape))
 
     def drawn(self, size: int, rng: np.random.Generator) -> Floats:
-        """Noise of this kind [rad], shape (n,): what the filters leave white, through their inverses."""
+        """Random noise with this spectrum [rad], shape (size,): white noise through the inverse filters."""
         white, taps = np.fft.rfft(rng.standard_normal(size)), np.append(1.0, -self.coefficients)
         if self.slow:
             part = np.fft.rfft(rng.standard_normal(size)) / np.fft.rfft([1.0, -self.kept], size)
@@ -70,11 +70,11 @@ class Whitening:
 
     @property
     def key(self) -> tuple[Hashable, ...]:
-        """What tells it from others."""
+        """Values that identify this noise model, for caches."""
         return self.coefficients.tobytes(), self.scale, self.slow, self.kept
 
     def logarithm(self, run: Integers) -> float:
-        """Half the logarithm of the determinant of the slow noise beside that of the innovation."""
+        """Half the log determinant of the whitened noise's covariance; zero without slow noise; run (n,)."""
         from hd_diag.diagnosis import kernel  # late: it imports numba
 
         none = np.empty((run.size, 0))
@@ -82,9 +82,9 @@ class Whitening:
 
     @cached_property
     def _beginning(self) -> Floats:
-        """What whitens the first samples of a run, (ORDER, ORDER): the inverse root of their covariance.
+        """Whitening matrix of the first samples of a run (ORDER, ORDER): inverse root of their covariance.
 
-        Predictors of every lower order follow from those of the next (Levinson's recursion, backwards).
+        The predictor of each order gives that of the next lower one (Levinson's recursion, backwards).
         """
         found, taps, variance = np.zeros((ORDER, ORDER)), self.coefficients, self.scale**2
         for order in range(ORDER - 1, -1, -1):
@@ -96,7 +96,7 @@ class Whitening:
 
 
 def bounds(run: Integers) -> list[tuple[int, int]]:
-    """First row and end of every run."""
+    """First row and end (exclusive) of every run."""
     return list(pairwise(_edges(run).tolist()))
 
 
@@ -105,18 +105,18 @@ def _edges(run: Integers) -> Integers:
 
 
 def numbered(change: npt.NDArray[np.bool_]) -> Integers:
-    """Number of the stretch of each of n rows, from zero; a new one begins where the row changes (n - 1,)."""
+    """Stretch number (n,) of each row, from zero; a stretch ends after each row with a `change` (n - 1,)."""
     return np.concatenate(([0], np.cumsum(change))).astype(np.int64)
 
 
 def spans(rows: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First row and end of every stretch of rows that are true."""
+    """First row and end (exclusive) of every stretch of true rows (n,)."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], rows, [False])).astype(np.int8)))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
 def slices(time: Floats, run: Integers, seconds: float) -> Integers:
-    """Number of the stretch of each row, from zero; runs are divided into stretches of so many seconds."""
+    """Stretch number (n,) of each row, from zero; runs (n,) are divided into stretches of some seconds."""
     if not run.size:
         return np.empty(0, dtype=np.int64)
     edges = bounds(run)
@@ -128,8 +128,8 @@ def slices(time: Floats, run: Integers, seconds: float) -> Integers:
 def whitening(residual: Floats, run: Integers, fitted: Floats | None = None) -> Whitening:
     """The noise model of a residual (n,) [rad]: Yule-Walker with covariances pooled over the runs (n,).
 
-    Columns that were `fitted` (n, k), orthonormal, took their share of white noise with them: else what is
-    slow in it would seem to be more than noise.
+    `fitted` are the orthonormal columns (n, k) of the fit. They absorbed a share of the white noise, which is
+    restored here; otherwise slow parts of the noise would look significant.
     """
     covariance, taken, count = np.zeros(ORDER + 1), np.zeros(ORDER + 1), 0
     for begin, end in bounds(run):
@@ -146,7 +146,7 @@ def whitening(residual: Floats, run: Integers, fitted: Floats | None = None) -> 
 
 
 def _products(values: Floats) -> Floats:
-    """Of values (n,) or (n, k) with themselves at lags 0 to ORDER, shape (ORDER + 1,)."""
+    """Sums of products of values (n,) or (n, k) at lags 0 to ORDER, shape (ORDER + 1,)."""
     size = values.shape[0]
     return np.array([float(np.vdot(values[lag:], values[: size - lag])) for lag in range(ORDER + 1)])
 
@@ -154,7 +154,7 @@ def _products(values: Floats) -> Floats:
 def whitening_of(covariance: Floats) -> Whitening:
     """The noise model with covariances at lags 0 to ORDER [rad^2], shape (ORDER + 1,).
 
-    Covariances that no noise has, as estimates may be, become those of the nearest with more white noise.
+    Estimates may not be positive definite; just enough white noise is then added.
     """
     if not covariance[0] > 0.0:
         return Whitening(np.zeros(ORDER), 1e-12)

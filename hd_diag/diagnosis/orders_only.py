@@ -1,4 +1,4 @@
-"""An order table without a tooth model: for gears of which nobody has the geometry."""
+"""An order table without a tooth model, for gears of unknown geometry."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ _SLICE = 1.0  # length of a block of the bootstrap [s]
 def orders_only(checked: Screened, configured: Drive, rng: np.random.Generator) -> Diagnosis:
     """Describe the error of a joint by lines over its turn, whatever gear it has.
 
-    Of the drive, its ratio, rated torque and accuracy are used, its geometry is not; the generator is for the
-    gain's interval. The diagnosis has no parameters and causes: "nominal" is the error less torsion and
-    friction by a regression on torque and speed, "extended" the same less the table's rows that repeat.
+    Only the ratio, rated torque and accuracy of the drive are used, not its geometry. The generator is for
+    the gain's interval. The diagnosis has no parameters and no causes. "nominal" is the error without torsion
+    and friction, from a regression on torque and speed; "extended" also omits the table's repeating rows.
     """
     record, findings = checked
     empty = Diagnosis(record, configured, findings)
@@ -40,7 +40,7 @@ def orders_only(checked: Screened, configured: Drive, rng: np.random.Generator) 
     columns = np.stack(laws, axis=1)
     error = centered(record.output_angle - record.input_angle / configured.kinematics.ratio, record.bag)
     beta = np.linalg.lstsq(columns[~test], error[~test], rcond=None)[0]
-    # Recordings that are held out have offsets of their own.
+    # Each held-out recording has its own offset.
     rest = error - columns @ beta
     rest[test] = centered(rest[test], record.bag[test])
     trained, rated = _remainder(record, configured, rest, columns, ~test), configured.rated_torque

@@ -1,4 +1,4 @@
-"""Samples far off their neighbours, as lost bits and disturbed lines make them."""
+"""Samples far off their neighbours, as after lost bits and disturbed lines."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from scipy.ndimage import median_filter
 from hd_diag.arrays import Floats, Integers, Rows
 from hd_diag.diagnosis.blocks import filtered
 
-_OUTLIER = 8.0  # robust standard deviations of what neighbours do not predict
-_OUTLIER_WINDOW = 51  # over which that deviation is taken [samples]
+_OUTLIER = 8.0  # robust standard deviations of the prediction error from neighbours
+_OUTLIER_WINDOW = 51  # window of that deviation [samples]
 _OUTLIER_PASSES = 3
-_OUTLYING_TORQUE = 0.5  # of the range of torques, without which a sample is no outlier: it hardly matters
-_ROUNDING = 1e-9  # of the largest torque, within which it is constant
+_OUTLYING_TORQUE = 0.5  # least deviation over the range of torques; smaller ones hardly matter
+_ROUNDING = 1e-9  # rounding of a constant torque, over the largest one
 
 
 def torque_outliers(torque: Floats, bag: Integers) -> Rows:
-    """Torques [N m] far off both their neighbours, by much of the range of all, shape (n,).
+    """Mask (n,) of torques [N m] that differ from both neighbours by much of the whole range.
 
-    A torque that is reported less often than the angles stands in several rows; what is not finite is no
-    outlier, and no neighbour. Numbers of the recordings (n,) ascend.
+    A torque that is reported less often than the angles fills several rows. Values that are not finite are
+    neither outliers nor neighbours. Recording numbers (n,) ascend.
     """
     found, finite = np.zeros(torque.size, dtype=bool), np.flatnonzero(np.isfinite(torque))
     if finite.size:
@@ -29,17 +29,17 @@ def torque_outliers(torque: Floats, bag: Integers) -> Rows:
         change = (np.diff(torque) != 0.0) | (np.diff(bag) != 0)
         first = np.concatenate(([0], np.flatnonzero(change) + 1))
         count = np.diff(first, append=torque.size)
-        short = count <= 2.0 * np.median(count)  # a pause without torque is none
+        short = count <= 2.0 * np.median(count)  # a long constant torque is a pause, no outlier
         held = np.repeat(short & outliers(torque[first], bag[first], least), count)
         found[finite] = held | outliers(torque, bag, least)
     return found
 
 
 def outliers(error: Floats, bag: Integers, least: float = 0.0, together: int = 1) -> Rows:
-    """Samples (n,), up to `together` in a row, far off both neighbours, by `least` or more.
+    """Mask (n,) of samples, up to `together` in a row, that differ from both neighbours by at least `least`.
 
-    Neighbours are those recorded before and after, even across a gap: between gaps there may be few samples.
-    It is done again without those that were found: others may stand out then.
+    Neighbours are the samples before and after, even across a gap, as pieces between gaps may be short.
+    The search is repeated without the outliers found, because others may then stand out.
     """
 
     def repeated(part: slice) -> Rows:
@@ -54,11 +54,10 @@ def outliers(error: Floats, bag: Integers, least: float = 0.0, together: int = 1
 
 
 def _spikes(values: Floats, least: float, apart: int) -> Rows:
-    """Samples beyond both neighbours, and by far, more than `least`, off the cubic through four of them.
+    """Mask of samples above or below both neighbours, and far (by `least`) off the cubic through four.
 
-    Neighbours are so many samples `apart` that others off together with one are between them. The cubic
-    follows the gear's ripple, which a running median would cut; flanks that change are a step, beyond one
-    neighbour only.
+    Neighbours are `apart` samples away, so that a group of outliers fits between them. The cubic follows the
+    gear's ripple, which a running median would cut. A flank change is a step, and exceeds only one neighbour.
     """
     if values.size < 8 * apart + 1:
         return np.zeros(values.size, dtype=bool)

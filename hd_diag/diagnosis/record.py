@@ -22,26 +22,26 @@ from hd_diag.streams.no_torque import no_torque
 Columns = dict[str, Any]
 
 MINIMUM_SAMPLES = 200
-"""Fewer samples than this are too short a record."""
+"""A record with fewer samples is too short."""
 
 FASTEST = 1e4
-"""Ten times what the smallest drives turn at, at most [rad/s]."""
+"""Ten times the top speed of the smallest drives [rad/s]."""
 
-_ROUNDING = 1e-12  # of the largest angle, within which it is constant
-_PAUSE = 0.2  # rest that ends a run [s]
-_THROUGH = 0.8 * 2.0 * np.pi  # of a turn of the input: its first and last rows may be left out [rad]
-_SLOW = 0.02  # of the top speed, within which friction turns [-]
-_REST_SPEED = 0.02  # of the record's 95th percentile of speed, below which the joint rests [-]
-_BITS = range(10, 25)  # of encoders
-_COUNTS_MISS = 0.01  # by which a ratio may miss that of counts
+_ROUNDING = 1e-12  # range of a constant angle, over its largest value
+_PAUSE = 0.2  # shortest rest that ends a run [s]
+_THROUGH = 0.8 * 2.0 * np.pi  # travel of a complete input turn, as its end rows may be missing [rad]
+_SLOW = 0.02  # speed range of friction's reversal, over the top speed [-]
+_REST_SPEED = 0.02  # highest speed at rest, over the 95th percentile of the record's speed [-]
+_BITS = range(10, 25)  # encoder resolutions that are recognised
+_COUNTS_MISS = 0.01  # tolerance of the factor between counts and radians, relative
 GAP_STEPS = 5.5
 """A step this many times the usual one is a gap: state and filters restart."""
 
 _SPEED_WINDOW = 0.03  # [s]
 _HEAT_WINDOW = 2.0  # [s]
-_SEVERAL, _HELD_SHARE = 3.0, 0.4  # counts of a move that must show; share of repeats: half, at half the rate
-_LONG_GAP_STEPS = 200.0  # a step this many times the usual one is more than a cause remembers through
-_WRAP_SLACK = 0.1  # what noise and outliers may add to the range of a wrapped angle [rad]
+_SEVERAL, _HELD_SHARE = 3.0, 0.4  # counts of a visible move; share of repeats (half of them at half the rate)
+_LONG_GAP_STEPS = 200.0  # causes with memory restart after a step this many times the usual one
+_WRAP_SLACK = 0.1  # range that noise and outliers may add to a wrapped angle [rad]
 
 
 class RecordError(ValueError):
@@ -49,7 +49,7 @@ class RecordError(ValueError):
 
 
 class Extent(NamedTuple):
-    """What a record covers: samples, runs, time in them [s], turns of the input in both directions."""
+    """Samples and runs of a record, time in the runs [s], and turns of the input in both directions."""
 
     samples: int
     runs: int
@@ -67,28 +67,28 @@ class Record:
         [s], [rad], [rad], [N m] on the link, input speed [rad/s], [degree Celsius] or None.
     run, bag, stretch : ndarray of int64
         Number of the run, which ends with a pause, a gap or a bag; of the recording; of the stretch without
-        a long gap: causes with memory go on through pauses between runs, and from a recording to one that
-        follows at once.
+        a long gap. The state of causes with memory continues over pauses between runs, and into a recording
+        that follows at once.
     has_torque, by_current, by_velocity : bool
-        Whether the torque was measured, else it is what the configuration assumes; whether it is a motor's
-        current times a constant; whether the input angle is the integral of a velocity, whose drift is free.
+        Whether the torque was measured (otherwise the configured one is assumed); whether it is a motor's
+        current times a constant; whether the input angle is an integrated velocity, whose drift is free.
     outliers, dropped : int
-        Samples removed: far off their neighbours; not finite or out of order.
+        Number of removed samples: far off their neighbours; not finite or out of order.
     reported_torque, reported_speed : ndarray, or None
-        Torque before smoothing, as a running model gets it [N m]; input speed as the joint itself reports
-        it [rad/s], nan where it does not.
+        Torque before smoothing, as a running model gets it [N m]; input speed as the joint reports it
+        [rad/s], nan where it does not.
     extent : Extent
-        What the record covers; of the whole, where rows were left out.
+        Extent of the whole record, including rows that were left out.
     torque_window : ndarray
-        Of the smoothing of the torque [s]; 0: none.
+        Window of the torque's smoothing [s]; 0: none.
     torque_with_waves : bool
-        Whether waves of the input's turn are left in it, see :func:`smoothed_torque`.
+        Whether the smoothed torque keeps waves of the input's turn, see :func:`smoothed_torque`.
     stamps : Stamps
-        What became of samples before.
+        Counts of samples that were lost before.
     taken : ndarray, or None
-        What was added to the torque by a current, because the motor itself takes some of it [N m].
+        Correction added to a torque from current, because the motor itself takes part of it [N m].
     no_torque : str
-        What the reported torque is instead of a measured one, in words; empty where there is none.
+        Why the reported torque is not a measured one, in words; otherwise empty.
     """
 
     time: Floats
@@ -121,7 +121,7 @@ class Record:
 
     @property
     def top_speed(self) -> float:
-        """Input speed that hardly any sample is above [rad/s]."""
+        """Input speed that 1 % of the samples exceed [rad/s]."""
         return max(float(np.percentile(np.abs(self.speed), 99)), 1e-9)
 
     @property
@@ -130,18 +130,18 @@ class Record:
         return np.asarray(np.tanh(self.speed / (_SLOW * self.top_speed)))
 
     def less_motor(self, taken: Floats) -> Record:
-        """The record with its torque plus `taken` (n,), the negative of what the motor itself takes [N m]."""
+        """The record with `taken` (n,) added to its reported torque: minus the motor's own share [N m]."""
         return replace(self, torque=self.by_sensor + taken, taken=taken)
 
     @property
     def turn(self) -> Integers:
-        """Number of the input's turn, from zero, a new one where a run begins; shape (n,)."""
+        """Number of the input's turn, from zero; each run begins a new one; shape (n,)."""
         turn = np.floor(self.input_angle / (2.0 * np.pi))
         return numbered((np.diff(turn) != 0) | (np.diff(self.run) != 0))
 
     @property
     def through(self) -> Rows:
-        """Whether a row is of a turn of the input that is gone through, shape (n,); all are where none is."""
+        """Mask (n,) of rows in complete turns of the input; all rows if no turn is complete."""
         turn = self.turn
         ends = np.append(np.flatnonzero(np.diff(turn, prepend=-1)), turn.size)
         whole = np.abs(self.input_angle[ends[1:] - 1] - self.input_angle[ends[:-1]]) > _THROUGH
@@ -154,19 +154,19 @@ class Record:
 
     @property
     def torque_deviation(self) -> Floats:
-        """Standard deviation of the torque by its noise [N m], shape (n,); a constant one has none."""
+        """Standard deviation of the torque by its noise [N m], shape (n,); zero for a constant torque."""
         if np.ptp(self.by_sensor) == 0.0 or not self.torque_window.any():
             return np.zeros(self.size)
         step, width = usual_step(self.time), self.torque_window
         return deviation(self.reported_torque, self.by_sensor, step, width)
 
     def select(self, rows: Rows | Integers) -> Record:
-        """The record of some rows; their run numbers stay."""
+        """The record of some rows, with unchanged run numbers."""
         columns: Columns = {name: c[rows] for name, c in vars(self).items() if isinstance(c, np.ndarray)}
         return replace(self, **columns)
 
     def thinned(self, most: int) -> Record:
-        """Rows at even distances, about `most` at most."""
+        """Evenly spaced rows, about `most` at most."""
         return self.select(np.arange(0, self.size, 1 + self.size // most))
 
 
@@ -193,9 +193,9 @@ def prepare(
     ratio : float
         Reported input angle over reported output angle [-].
     assumed_torque : float
-        Used where no torque was measured [N m].
+        Torque if none was measured [N m].
     by_current, by_velocity, stamps
-        As in `Record`. A clock that is set back within a recording begins another one here.
+        As in `Record`. A clock that is set back within a recording begins a new one.
 
     Raises
     ------
@@ -245,7 +245,7 @@ def prepare(
     _check_whole(columns["segment"])
     _check_motion(columns["input_angle"], columns["output_angle"], ratio)
     turned, followed = (float(np.ptp(columns[name])) for name in ("input_angle", "output_angle"))
-    if not encoder_bits(turned / max(abs(ratio) * followed, 1e-300)):  # a finding tells these better
+    if not encoder_bits(turned / max(abs(ratio) * followed, 1e-300)):  # the ratio check reports counts better
         check_speed(columns["time"], columns["input_angle"], columns["segment"])
     time, load, heat, segment = (columns.pop(n) for n in ("time", "torque", "temperature", "segment"))
     step, time = usual_step(time), without_jitter(time, columns["input_angle"], segment)
@@ -278,17 +278,17 @@ def prepare(
 
 
 def _emptiest(columns: Columns) -> str:
-    """Which column has most rows without a value, in words; empty where all have values."""
+    """Which column has the most rows without a value, in words; empty if all have values."""
     count = {name: int(np.sum(np.isnan(one))) for name, one in columns.items() if one is not None}
     name = max(count, key=lambda one: count[one])
     return f": {words(name)} has {count[name]} without a value" if count[name] else ""
 
 
 def _held(input_angle: Floats, output: Floats, segment: Integers) -> Rows:
-    """Rows (n,) that repeat an output which is slower than the input, at the output's angles [rad].
+    """Mask (n,) of rows that repeat the previous output sample, because the output is published slower.
 
-    An encoder that counts repeats itself too, but never where it should move by several counts. At rest rows
-    are left out at the same rate.
+    Both angles are at the output [rad]. A counting encoder repeats values too, but never while it should move
+    by several counts. Rows at rest are removed at the same rate.
     """
     inside = np.diff(segment) == 0
     change, expected = np.abs(np.diff(output)), np.abs(np.diff(input_angle))
@@ -304,7 +304,7 @@ def _held(input_angle: Floats, output: Floats, segment: Integers) -> Rows:
 
 
 def _check_whole(segment: Integers) -> None:
-    """Raise RecordError where hardly any samples stand in stretches (n,) long enough to tell noise."""
+    """Raise RecordError if too few samples are in stretches (n,) long enough for a noise model."""
     count = np.bincount(segment)
     whole = int(count[count > ORDER].sum())
     if whole < MINIMUM_SAMPLES:
@@ -316,7 +316,7 @@ def _check_whole(segment: Integers) -> None:
 
 
 def _check_motion(angle: Floats, output: Floats, ratio: float) -> None:
-    """Raise RecordError where the input (n,) [rad] hardly turns, or the output (n,) [rad] never."""
+    """Raise RecordError if the input (n,) [rad] hardly turns, or the output (n,) [rad] never."""
     turned, followed = float(np.ptp(angle)), float(np.ptp(output))
     if turned < np.pi:
         text = f"no motion: the input turns by {turned:.3g} rad, at least half a turn is needed"
@@ -327,16 +327,16 @@ def _check_motion(angle: Floats, output: Floats, ratio: float) -> None:
 
 
 def encoder_bits(times: float) -> int:
-    """Bits of the encoder whose counts make an angle so many times too large; 0 where those of none do."""
+    """Bits of the encoder whose counts, taken as radians, are `times` too large; 0 if there is none."""
     counts = 2.0 * math.pi * times
     near = [bits for bits in _BITS if abs(counts / 2.0**bits - 1.0) < _COUNTS_MISS]
     return near[0] if near else 0
 
 
 def check_speed(time: Floats, angle: Floats, segment: Integers) -> None:
-    """Raise RecordError where the input turns faster than any: what is spread over turns grows with them.
+    """Raise RecordError if the input turns faster than any drive, as spectra grow with the number of turns.
 
-    Times [s], angles [rad] and numbers of the stretches without a gap are of shape (n,).
+    Times [s], angles [rad] and numbers of the stretches without a gap have shape (n,).
     """
     inside = np.diff(segment) == 0
     way, duration = np.abs(np.diff(angle))[inside].sum(), np.diff(time)[inside].sum()
@@ -348,14 +348,14 @@ def check_speed(time: Floats, angle: Floats, segment: Integers) -> None:
 
 
 def extent(time: Floats, input_angle: Floats, run: Integers) -> Extent:
-    """What runs cover."""
+    """Extent of the runs (n,)."""
     duration = sum(float(time[end - 1] - time[begin]) for begin, end in bounds(run))
     way = np.abs(np.diff(input_angle))[np.diff(run) == 0]
     return Extent(time.size, int(run[-1]) + 1, duration, float(np.sum(way)) / (2.0 * np.pi))
 
 
 def _usable(columns: Columns, bag: Integers) -> Rows:
-    """Rows that are finite in all columns and later than the row before."""
+    """Mask of rows that are finite in all columns and later than the previous row."""
     later = (np.diff(columns["time"]) > 0.0) | (np.diff(bag) != 0)
     usable = np.concatenate(([True], later))[: bag.size]
     for column in columns.values():
@@ -365,14 +365,14 @@ def _usable(columns: Columns, bag: Integers) -> Rows:
 
 
 def _kept(columns: Columns, rows: Rows) -> Columns:
-    """Some rows of all columns; without a copy where all are kept."""
+    """Some rows of all columns; without a copy if all are kept."""
     if rows.all():
         return columns
     return {name: None if column is None else column[rows] for name, column in columns.items()}
 
 
 def measured_torque(torque: Floats | None) -> tuple[Floats | None, str]:
-    """A torque [N m], shape (n,), or None where it was not measured, and what is reported in place of it."""
+    """The torque [N m], shape (n,), or None if it was not measured, and then the reason in words."""
     if torque is None:
         return None, ""
     known = torque[np.isfinite(torque)]
@@ -381,7 +381,7 @@ def measured_torque(torque: Floats | None) -> tuple[Floats | None, str]:
 
 
 def _measured(values: Floats | None) -> Floats | None:
-    """None for a column without any value."""
+    """The column, or None if it has no value."""
     return None if values is None or not np.isfinite(values).any() else values
 
 
@@ -391,14 +391,14 @@ def _wrapped(angle: Floats) -> bool:
 
 
 def _unwrapped(angle: Floats, bag: Integers) -> Floats:
-    """Angles without jumps of whole turns, bag by bag; continuous angles stay as they are."""
+    """Angles without jumps of whole turns, bag by bag; continuous angles are unchanged."""
     parts = [angle[a:b] for a, b in bounds(bag)]
     done = [unwrapped(part) if _wrapped(part) else part for part in parts]
     return done[0] if len(done) == 1 else np.concatenate(done)
 
 
 def _with_turns(angle: Floats, output: Floats, bag: Integers, segment: Integers, ratio: float) -> Floats:
-    """Input angles without jumps of whole turns; turns lost in a gap follow from the output."""
+    """Input angles without jumps of whole turns; the output angle gives turns lost in a gap."""
     result = angle
     first = ratio * output[0] - angle[0]
     for begin, end in bounds(bag):
@@ -414,14 +414,14 @@ def _with_turns(angle: Floats, output: Floats, bag: Integers, segment: Integers,
 
 
 def segments(time: Floats, bag: Integers, gap: float) -> Integers:
-    """Numbers of stretches without a gap [usual steps], a stamp that goes back, or another recording."""
+    """Stretch numbers (n,); a step above `gap` usual steps, a stamp going back or a new bag begins one."""
     step = np.diff(time)
     breaks = (step > gap * usual_step(time)) | (step <= 0.0) | (np.diff(bag) != 0)
     return numbered(breaks)
 
 
 def _runs(time: Floats, speed: Floats, segment: Integers) -> Integers:
-    """Runs: segments, cut in the middle of every rest that lasts."""
+    """Run numbers (n,): segments, cut in the middle of every rest of at least `_PAUSE`."""
     resting = np.abs(speed) < _REST_SPEED * np.percentile(np.abs(speed), 95)
     cut = np.concatenate(([False], np.diff(segment) != 0))
     for begin, end in spans(resting):

@@ -1,4 +1,4 @@
-"""Regressions of a record that know no gear: beside means of runs or recordings, deviations by stretches."""
+"""Regressions without a gear model: with group means removed, and deviations from clustered residuals."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.record import Record
 
 _CLUSTERS = 24
-_NEAR_ZERO = 0.05  # of the rated torque, where flanks change
+_NEAR_ZERO = 0.05  # torque range of a flank change, over the rated torque
 
 
 class Regression(NamedTuple):
-    """Coefficients with their deviations, shape (k,), and the root mean square of what is left."""
+    """Coefficients with their standard deviations, shape (k,), and the rms of the residual."""
 
     value: Floats
     deviation: Floats
@@ -23,14 +23,14 @@ class Regression(NamedTuple):
 
 
 def centered(values: Floats, group: Integers) -> Floats:
-    """Values less the mean of their group, a run or a recording; both of shape (n,)."""
+    """Values (n,) less the mean of their group (n,), a run or a recording."""
     return np.asarray(values - (np.bincount(group, values) / np.maximum(np.bincount(group), 1))[group])
 
 
 def regression(columns: Sequence[Floats], values: Floats, group: Integers) -> Regression:
-    """Values by columns, all of shape (n,) and less the mean of their group.
+    """Regression of values on columns, all of shape (n,), after removal of the group means.
 
-    Deviations allow for a rest that is correlated within `_CLUSTERS` stretches.
+    The deviations allow for residuals that are correlated within each of `_CLUSTERS` stretches.
     """
     parts, target = [centered(column, group) for column in columns], centered(values, group)
     scale = np.array([max(float(np.linalg.norm(column)), 1e-300) for column in parts])
@@ -45,7 +45,7 @@ def regression(columns: Sequence[Floats], values: Floats, group: Integers) -> Re
 
 
 def usual_laws(record: Record, rated_torque: float) -> list[Floats]:
-    """Regressors (n,) of order one for torsion and friction of any joint."""
+    """Dimensionless regressors (n,) of order one for torsion and friction of any joint."""
     load = record.torque / rated_torque
     torsion = [load, load * np.abs(load), load**3, np.tanh(load / _NEAR_ZERO)]
     return [*torsion, record.speed / record.top_speed, record.way]

@@ -1,4 +1,4 @@
-"""Checks of every row of a record before any fit, of the signals too; then the rows that the fits get."""
+"""Checks of all rows and signals of a record before any fit, and the subset of rows that the fits get."""
 
 from __future__ import annotations
 
@@ -31,46 +31,46 @@ from hd_diag.drive import Drive
 from hd_diag.effects.quantity import turning
 from hd_diag.formatting import ARCSEC
 
-_TORQUE_SIGN = "torque_sign"  # name of the finding after which the torque's sign is turned
-_NO_ERROR = 1e-7  # [rad]; a tenth of what an encoder of 26 bits can tell
-_REPEATED = 0.05  # share of the rows of a moving joint
-_OUT_OF_STEP = 0.012  # [s]; less is a cause of the catalogue, which is found by a fit that knows the gear
-_MOST_LEFT = 0.3  # of the error beside torque and angle, where the speed explains it
+_TORQUE_SIGN = "torque_sign"  # after this finding the torque's sign is inverted
+_NO_ERROR = 1e-7  # [rad]; a tenth of the resolution of a 26 bit encoder
+_REPEATED = 0.05  # least share of rows for a finding
+_OUT_OF_STEP = 0.012  # [s]; a smaller delay is a cause of the catalogue, found by a fit of the gear
+_MOST_LEFT = 0.3  # largest residual with the speed over the one without it
 _MOST_ROWS = 4000
-_GRID = 20_001  # moments of a recording
-_MATCHED = 0.1  # of the output's travel, that streams put in step may be apart
+_GRID = 20_001  # times in a recording
+_MATCHED = 0.1  # largest difference of synchronised streams, over the output's travel, rms
 _SIGMAS = 6.0
-_MUCH = 0.02  # of a slope over the angle, from which the ratio is wrong
-_LEAST_TORSION = 0.02  # of the rated torque, by which the torque has to vary
-_OTHER_UNIT = 4.0  # times the configured torsion, beyond what a wrong stiffness can be
-_WRONG_SIGN = -0.3  # of the configured torsion
-_LEAST_REACH, _REACH_WITHOUT_TORQUE = 0.3, 1.5  # of the output [rad]
-_PARTNER_MISS = 0.15  # of the slope between a ratio and its partner
+_MUCH = 0.02  # a larger slope over the angle means a wrong ratio
+_LEAST_TORSION = 0.02  # least range of the torque, over the rated torque
+_OTHER_UNIT = 4.0  # torsion over the configured one; no wrong stiffness explains more
+_WRONG_SIGN = -0.3  # torsion over the configured one
+_LEAST_REACH, _REACH_WITHOUT_TORQUE = 0.3, 1.5  # least output travel [rad]
+_PARTNER_MISS = 0.15  # tolerance of the slope between a ratio and its partner, relative
 _FULL_TURN = 360.0
-_DEGREES, _DEGREES_MISS = 180.0 / math.pi, 0.3  # times the configured torsion; a share of that
-_LEAST_IN_DEGREES = 0.01  # [rad], between least and greatest error: beyond what gears have
-_WORSE = 1.3  # ratio of residuals from which a torque misleads
-_BLOCKS, _MOST_UNSEEN = 8, 2000  # of held-out rows; how many of them
-_MOST_TORQUE = 50.0  # of the rated torque: teeth skip at a fifth of it, or a half
+_DEGREES, _DEGREES_MISS = 180.0 / math.pi, 0.3  # torsion over the configured one; its relative tolerance
+_LEAST_IN_DEGREES = 0.01  # [rad]; no gear's error has a larger range
+_WORSE = 1.3  # a torque misleads if the residual with it is larger by this factor
+_BLOCKS, _MOST_UNSEEN = 8, 2000  # held-out blocks; most held-out rows in use
+_MOST_TORQUE = 50.0  # over the rated torque; teeth skip at a fifth or half of this
 
 
 class Screened(NamedTuple):
-    """A record short enough to be fitted, without steps, and what was found in all rows."""
+    """A record short enough to be fitted, without steps, and the findings from all rows."""
 
     record: Record
     findings: tuple[Finding, ...]
 
 
 def screened(record: Record, configured: Drive, limit: int = LIMIT) -> Screened:
-    """Check sensors, units, signs, ratio and steps in every row of a record; then keep `limit` rows at most.
+    """Check sensors, units, signs, ratio and steps in every row of a record; then keep at most `limit` rows.
 
-    Where the ratio need not be that of the configured teeth, these are not the gear's: its torsion is not
-    compared.
+    If the ratio is not that of the configured teeth, the tooth model describes another gear. Torsion is then
+    not compared.
     """
     ratio, teeth = configured.kinematics.ratio, configured.kinematics.of_teeth
     wrong = _one_sensor(record, ratio) or _wrapped_degrees(record)
     wrong = wrong or check_velocity(record, configured.kinematics) or _out_of_step(record, ratio)
-    if not record.by_velocity:  # whose slow part is free
+    if not record.by_velocity:  # an integrated velocity may drift freely
         wrong = wrong or check_ratio(record, ratio)
     wrong = wrong or _partner_ratio(record, configured)
     if teeth:
@@ -79,7 +79,7 @@ def screened(record: Record, configured: Drive, limit: int = LIMIT) -> Screened:
     if wrong is not None:
         return Screened(subsample(record, limit), (wrong, *stamps))
     record, again = _without_repeated_rows(record)
-    # With two more teeth on the circular spline, as nearly all gears have, where nobody knows.
+    # If the teeth are unknown, assume two more on the circular spline, as in nearly all gears.
     pitch = configured.mesh.geometry.tooth_pitch if teeth else math.pi / abs(ratio)
 
     def torsion(angle: Floats, torque: Floats) -> Floats:
@@ -88,7 +88,7 @@ def screened(record: Record, configured: Drive, limit: int = LIMIT) -> Screened:
     correction, steps = find_steps(record, ratio, pitch, torsion if teeth and record.has_torque else None)
     if steps:
         record = replace(record, output_angle=record.output_angle - correction)
-    del correction  # a column of an hour is 30 MB
+    del correction  # one hour takes 30 MB per column
     record = subsample(record, limit)
     torque = _wrong_torque(record, configured) if teeth else None
     ramp = None if record.by_velocity else check_ramp(record, ratio)
@@ -99,7 +99,7 @@ def screened(record: Record, configured: Drive, limit: int = LIMIT) -> Screened:
 
 
 def _one_sensor(record: Record, ratio: float) -> Finding | None:
-    """A finding where the output angle is the input angle over the ratio, digit by digit."""
+    """A finding if the output angle equals the input angle over the ratio, digit by digit."""
     error = record.output_angle - record.input_angle / ratio
     if float(np.quantile(np.abs(centered(error, record.run)), 0.95)) > _NO_ERROR:
         return None
@@ -111,7 +111,7 @@ def _one_sensor(record: Record, ratio: float) -> Finding | None:
 
 
 def _wrapped_degrees(record: Record) -> Finding | None:
-    """A finding where an angle jumps by 360: it is in degrees."""
+    """A finding if an angle jumps by 360: it is in degrees."""
     for name, angle in (("input", record.input_angle), ("output", record.output_angle)):
         step = np.abs(np.diff(angle)) / _FULL_TURN
         if np.any(np.abs(step - 1.0) < 0.02) and float(np.median(step)) < 0.1:
@@ -121,7 +121,7 @@ def _wrapped_degrees(record: Record) -> Finding | None:
 
 
 def _other_units(record: Record, configured: Drive) -> Finding | None:
-    """A finding where no gear could bear the torque, or twist as far by it: they are in other units."""
+    """A finding if no gear could bear the torque or the torsion: torque or angles are in another unit."""
     most = float(np.percentile(np.abs(record.torque), 99.0))
     if record.has_torque and most > _MOST_TORQUE * configured.rated_torque:
         share = most / configured.rated_torque
@@ -141,7 +141,7 @@ def _other_units(record: Record, configured: Drive) -> Finding | None:
 
 
 def _lost_samples(record: Record) -> list[Finding]:
-    """Findings of a torque that is none, files that are not whole, clocks set back, samples left out."""
+    """Findings about second publishers, missing torque, incomplete files, clocks, stamps and lost samples."""
     refused, _, unpaired, set_back, problems, unstamped, others = record.stamps
     found = [Finding("second_publisher", text, float(len(others)), "-", False) for text in others]
     if record.no_torque:
@@ -167,7 +167,7 @@ def _lost_samples(record: Record) -> list[Finding]:
 
 
 def _without_repeated_rows(record: Record) -> tuple[Record, Finding | None]:
-    """The record without rows that repeat the row before them, and a finding if there are many."""
+    """The record without rows that repeat the previous row, and a finding; unchanged if there are few."""
     same = np.diff(record.run) == 0
     for column in (record.input_angle, record.output_angle, record.reported_torque):
         same &= np.diff(column) == 0.0
@@ -184,12 +184,12 @@ def _without_repeated_rows(record: Record) -> tuple[Record, Finding | None]:
 
 
 def _partner_ratio(record: Record, configured: Drive) -> Finding | None:
-    """A finding where the ratio is that of the other output, one more or one less: 101 for 100.
+    """A finding if the ratio is that of the other output, one more or one less: 101 for 100.
 
     Notes
     -----
-    Over all runs of a recording together, for robots seldom turn far: over half a radian the ratios differ by
-    1000 arcsec. Where turns are lost between runs nothing is said.
+    The regression covers all runs of a recording together, because robots seldom turn far: over half a radian
+    the ratios differ by 1000 arcsec. If turns are lost between runs, there is no finding.
     """
     ratio, least = configured.kinematics.ratio, _LEAST_REACH if record.has_torque else _REACH_WITHOUT_TORQUE
     if float(np.ptp(record.input_angle / ratio)) < least:
@@ -209,7 +209,7 @@ def _partner_ratio(record: Record, configured: Drive) -> Finding | None:
 
 
 def _out_of_step(record: Record, ratio: float) -> Finding | None:
-    """A finding where the output angle is late or early: a part of the error in proportion to the speed."""
+    """A finding if the output angle is late or early: part of the error is proportional to the speed."""
     late = _late(record, ratio)
     if late is None:
         return None
@@ -220,12 +220,12 @@ def _out_of_step(record: Record, ratio: float) -> Finding | None:
 
 
 def _late(record: Record, ratio: float) -> float | None:
-    """By how much the output angle is late [s]; None where it is not, or cannot be told."""
+    """Delay of the output angle [s], negative if early; None if there is none or it is uncertain."""
     some = record.thinned(_MOST_ROWS)
     output = some.input_angle / ratio
     others = [output, np.sign(some.speed), some.torque, some.torque * np.abs(some.torque)]
     error = some.output_angle - output
-    # A motion to and fro, mirrored by a ratio of the wrong sign, is itself at another time.
+    # With a ratio of the wrong sign, an oscillating motion looks like a delayed one.
     is_late = not any(follows(record, sign / ratio, _MATCHED) for sign in (1.0, -1.0))
     if is_late and (late := _far_behind(record, ratio)) is not None:
         return late
@@ -233,14 +233,15 @@ def _late(record: Record, ratio: float) -> float | None:
     early, slope = float(found.value[0]), float(found.value[1])
     if abs(early) < max(_OUT_OF_STEP, _SIGMAS * found.deviation[0]) or abs(slope) > _MUCH:
         return None
-    # It has to be nearly all that the others leave: in a short record torque and speed go together.
+    # Speed must explain nearly the whole rest: in a short record it correlates with the torque.
     return -early if found.rest <= _MOST_LEFT * regression(others, error, some.bag).rest else None
 
 
 def _far_behind(record: Record, ratio: float) -> float | None:
-    """By how much an output that does not follow the input at once comes after it [s]; None if it does not.
+    """Large delay of the output against the input [s]; None if there is none at which the streams match.
 
-    The peak of their rates' correlation over the longest recording, in step by which they have to match.
+    The delay is the peak of the correlation of their rates over the longest recording. Shifted by it, the
+    streams must match.
     """
     from scipy.signal import correlate  # late: it takes a third of a second
 
@@ -256,12 +257,12 @@ def _far_behind(record: Record, ratio: float) -> float | None:
 
 
 def _twisting(record: Record, configured: Drive) -> bool:
-    """Whether a torque is known and changes enough to twist the gear."""
+    """Whether the torque is measured and varies enough to twist the gear."""
     return record.has_torque and float(np.ptp(record.torque)) > _LEAST_TORSION * configured.rated_torque
 
 
 def _wrong_torque(record: Record, configured: Drive) -> Finding | None:
-    """A finding where the torsion is not that of the torque: of the other sign, or many times as much."""
+    """A finding if the torsion has the wrong sign for the torque, or is many times too large."""
     if not _twisting(record, configured):
         return None
     factor, spread = _twist(record, configured)
@@ -284,9 +285,9 @@ def _wrong_torque(record: Record, configured: Drive) -> Finding | None:
 def _twist(record: Record, configured: Drive) -> tuple[float, float]:
     """Torsion over the configured one at the same torque, with its standard deviation [-].
 
-    Beside waves of the output's turn and the speed, and without either, the smallest: gravity goes with the
-    place, a joint that starts has its torque rise with its speed, and what misses the torsion's shape may put
-    one on top of the other with any sign. Zero where the signs differ.
+    There are four regressions: with waves of the output's turn and the speed, with either, and with neither.
+    The smallest factor counts, and zero if the signs differ. Gravity correlates with position, and the torque
+    of a starting joint with its speed, so an imperfect torsion shape can give factors of any sign.
     """
     some = record.thinned(_MOST_ROWS)
     output = some.input_angle / configured.kinematics.ratio
@@ -302,18 +303,18 @@ def _twist(record: Record, configured: Drive) -> tuple[float, float]:
 def without_misleading_torque(
     record: Record, configured: Drive, test: npt.NDArray[np.bool_], rng: np.random.Generator
 ) -> tuple[Record, Finding | None]:
-    """The record without its torque where fits to other rows predict held-out ones far better without.
+    """The record without its torque, and a finding, if fits predict held-out rows far better without it.
 
-    Both with the rows `test` (n,) held out and with all others: beside a large cause, which no parameter
-    knows, one fit is misled by chance. A current is kept: what the motor itself needs of it, no fit here
-    knows. So is a torque that hardly changes: it twists nothing, and cannot mislead.
+    This must hold with the rows `test` (n,) held out and with all others held out: a large cause, which no
+    parameter describes, may mislead one fit by chance. A motor's current is kept, because no fit here models
+    what the motor takes of it. A torque that hardly changes is kept too: it cannot mislead.
     """
     if not _twisting(record, configured) or record.by_current:
         return record, None
     unloaded = np.zeros(record.size)
     blind = replace(record, torque=unloaded, reported_torque=unloaded, has_torque=False)
     if np.std(_left(record, configured, test)) < np.std(_left(blind, configured, test)):
-        return record, None  # as configured it helps already
+        return record, None  # the torque helps the configured drive already
     seed, found = int(rng.integers(2**31)), []
     for unseen in (test, ~test):
         squares = [_foretold(one, configured, unseen, seed) ** 2 for one in (record, blind)]
@@ -331,15 +332,15 @@ def without_misleading_torque(
 
 
 def _foretold(record: Record, configured: Drive, unseen: npt.NDArray[np.bool_], seed: int) -> Floats:
-    """Residual of some rows (n,) by a fit to all others [rad]; samples are chosen by the seed."""
+    """Residual of the `unseen` rows (n,) from a fit to all others [rad]; the seed chooses its samples."""
     seen = record.select(~unseen)
     fit = refit(seen, configured, np.random.default_rng(seed), _of_encoders(seen))
-    # A wrong zero is no other joint's torque.
+    # A wrong zero is not a wrong torque.
     return _left(replace(record, torque=record.torque + fit.torque_zero), fit.drive, unseen)
 
 
 def _left(record: Record, drive: Drive, test: npt.NDArray[np.bool_]) -> Floats:
-    """Residual of a drive on some held-out rows, less all that any fit carries along [rad]."""
+    """Residual of a drive on about `_MOST_UNSEEN` rows of `test` (n,), nuisance terms projected out [rad]."""
     some = record.select(test).thinned(_MOST_UNSEEN)
     error, _, _ = fit_parameters.along(drive, drive, some.input_angle, some.torque)
     rest = some.output_angle - some.input_angle / drive.kinematics.ratio - np.nan_to_num(error)
@@ -348,5 +349,5 @@ def _left(record: Record, drive: Drive, test: npt.NDArray[np.bool_]) -> Floats:
 
 
 def _of_encoders(record: Record) -> Floats:
-    """Once and twice per input turn, (n, 4): fitted without them, parameters of the torque imitate them."""
+    """Waves once and twice per input turn (n, 4); without them, torque parameters would imitate them."""
     return np.concatenate([turning(order * record.input_angle) for order in (1, 2)], axis=1)

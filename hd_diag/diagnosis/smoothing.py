@@ -13,28 +13,28 @@ from hd_diag.diagnosis.blocks import filtered
 from hd_diag.diagnosis.noise import bounds
 
 _ORDER = 2
-_WINDOWS = 0.01 * 1.35 ** np.arange(20)  # to choose from [s]
-_NARROWER = (3.0, 9.0, 27.0, 81.0)  # by which a window is cut
-_BENT = 5.0  # times the variance of noise that shows a bend
-_STILL = 4.0  # times the variance of smoothed noise, up to which smoothed values count as constant
-_ZERO = 16.0  # times the variance of a mean, up to which it counts as zero
-_JUDGED = 100_000  # samples by which a window is chosen
+_WINDOWS = 0.01 * 1.35 ** np.arange(20)  # candidate windows [s]
+_NARROWER = (3.0, 9.0, 27.0, 81.0)  # divisors of the best window
+_BENT = 5.0  # squared difference over its median above which the wider window distorts
+_STILL = 4.0  # variance of constant values after smoothing, over that of smoothed noise
+_ZERO = 16.0  # square of a mean that counts as zero, over its variance
+_JUDGED = 100_000  # samples that choose a window
 
 
 def smooth(values: Floats, segment: Integers, step: float, width: float | Floats) -> Floats:
     """Values smoothed by a local quadratic, applied twice.
 
-    Applied once it leaves noise at high frequencies, which whitening would amplify.
+    Applied once, it would pass noise at high frequencies, which whitening amplifies.
 
     Parameters
     ----------
     values : ndarray, shape (n,) or (n, k)
     segment : ndarray of int64, shape (n,)
-        Number of the stretch without a gap that a sample belongs to, ascending.
+        Number of the gap-free stretch of each sample, ascending.
     step : float
-        Between samples [s].
+        Time between samples [s].
     width : float, or ndarray, shape (n,)
-        Of the window [s], of all values or each.
+        Window [s], one for all values or one for each.
     """
     result = np.empty_like(values)
     for one in np.unique(width).tolist():
@@ -46,7 +46,7 @@ def smooth(values: Floats, segment: Integers, step: float, width: float | Floats
 
 
 def best_width(values: Floats, segment: Integers, step: float) -> float:
-    """Window [s] by which neighbours predict each value best; arguments as of :func:`smooth`.
+    """Window [s] in which neighbours predict each value best; arguments as of :func:`smooth`.
 
     Notes
     -----
@@ -58,23 +58,24 @@ def best_width(values: Floats, segment: Integers, step: float) -> float:
 
 
 def usual_prediction_error(values: Floats, segment: Integers, step: float) -> float:
-    """Median square by which values differ from what neighbours in the best window predict."""
+    """Median square of the prediction errors with the best window."""
     part = values[judged(segment)]
     return float(np.median(_prediction_errors(part, step, best_width(values, segment, step))))
 
 
 def judged(segment: Integers) -> slice:
-    """Rows by which a window is chosen: the middle of the longest segment."""
+    """Rows that choose a window: the middle of the longest segment."""
     begin, end = max(bounds(segment), key=lambda edges: edges[1] - edges[0])
     middle = (begin + end) // 2
     return slice(max(begin, middle - _JUDGED // 2), min(end, middle + _JUDGED // 2))
 
 
 def best_widths(values: Floats, segment: Integers, step: float) -> Floats:
-    """Window of every value [s], shape (n,): the best for all, or a narrower one where that would bend them.
+    """Window of every value [s], shape (n,): the best one for all, or a narrower one where that distorts.
 
-    A robot that rests, creeps and hurries has no window for all: where a narrower one differs from it by more
-    than noise, that one holds (Lepski, Theory Probab. Appl. 35, 1991). Arguments as of :func:`smooth`.
+    No single window suits a robot that rests, creeps and hurries. Where a narrower window gives a result that
+    differs by more than noise, it is used (Lepski, Theory Probab. Appl. 35, 1991). Arguments as of
+    :func:`smooth`.
     """
     best = best_width(values, segment, step)
     found, broad = np.full(values.size, best), smooth(values, segment, step, best)
@@ -83,7 +84,7 @@ def best_widths(values: Floats, segment: Integers, step: float) -> Floats:
         if _window(values.size, step, narrower) <= _ORDER + 1:
             break
         fine = smooth(values, segment, step, narrower)
-        broad -= fine  # in place: of an hour each array takes 30 MB
+        broad -= fine  # in place, as an hour takes 30 MB per array
         differs = uniform_filter1d(np.square(broad, out=broad), rows, output=broad)
         bent = (differs > _BENT * float(np.median(differs))) & (found == found.min())
         if not bent.any():
@@ -93,10 +94,10 @@ def best_widths(values: Floats, segment: Integers, step: float) -> Floats:
 
 
 def settled(values: Floats, smoothed: Floats, step: float, width: float) -> Floats:
-    """The smoothed values (n,); their mean, or zero, where they vary no more than smoothed noise does.
+    """The smoothed values (n,), or their mean or zero if they vary no more than smoothed noise.
 
-    Whether a torque is zero decides which teeth carry in a gap: noise must not decide it. Step and width [s]
-    are those that :func:`smooth` was given.
+    Whether the torque is zero decides which teeth carry load in a gap, so noise must not decide it. Step and
+    width [s] are those given to :func:`smooth`.
     """
     noise = float(np.var(values - smoothed))
     if np.var(smoothed) > _STILL * noise * _passed(values.size, step, width):
@@ -106,14 +107,14 @@ def settled(values: Floats, smoothed: Floats, step: float, width: float) -> Floa
 
 
 def deviation(values: Floats, smoothed: Floats, step: float, width: Floats) -> Floats:
-    """Standard deviation of each smoothed value by the noise left in it; arguments as of :func:`settled`."""
+    """Standard deviation of each smoothed value by its noise (n,); arguments as of :func:`settled`."""
     windows, number = np.unique(width, return_inverse=True)
     passed = np.array([_passed(values.size, step, one) for one in windows.tolist()])
     return np.asarray(float(np.std(values - smoothed)) * np.sqrt(passed)[number])
 
 
 def _passed(size: int, step: float, width: float) -> float:
-    """Share of the variance of white noise that is left by smoothing."""
+    """Share of the variance of white noise that smoothing passes."""
     taps = _middle(_window(size, step, width))
     return float(np.sum(np.convolve(taps, taps) ** 2))
 
@@ -138,15 +139,15 @@ def _twice(values: Floats, step: float, width: float) -> Floats:
 
 
 def _filtered(values: Floats, window: int, derivative: int = 0) -> Floats:
-    """Savitzky-Golay filter of (n,) or (n, k); at either end one quadratic of half a window's rows.
+    """Savitzky-Golay filter of (n,) or (n, k), or its derivative [1/row].
 
-    Or its derivative [1/row].
+    At each end, one quadratic over a window gives half a window of rows.
     """
     from hd_diag.diagnosis import kernel  # late: it imports numba
 
     (shape, weights), half, size = _quadratic(window, derivative), window // 2, values.shape[0]
     taps = _middle(window, derivative)[::-1]
-    before = -window % 3  # taps, and rows, of zero
+    before = -window % 3  # zeros that make the taps a multiple of three
     wide = np.concatenate((np.zeros((before, values[0].size)), values.reshape(size, -1)))
     result = np.empty_like(values)
     found = kernel.filtered(wide, np.append(taps, np.zeros(before)), np.array([0, size + before]))
@@ -156,9 +157,9 @@ def _filtered(values: Floats, window: int, derivative: int = 0) -> Floats:
     return result
 
 
-@lru_cache(maxsize=64)  # the windows to choose from, and narrower ones, of two rates
+@lru_cache(maxsize=64)  # candidate windows and narrower ones for two rates
 def _quadratic(window: int, derivative: int = 0) -> tuple[Floats, Floats]:
-    """Powers in a window of rows, or their derivatives (window, 3), and what fits them (3, window)."""
+    """Powers over a window of rows, or their derivatives (window, 3), and the pseudo-inverse (3, window)."""
     place, half = np.arange(window) - window // 2, max(window // 2, 1)
     powers = np.vander(place / half, _ORDER + 1)
     slopes = np.stack((2.0 * place / half, np.ones(window), np.zeros(window)), axis=1) / half
@@ -166,13 +167,13 @@ def _quadratic(window: int, derivative: int = 0) -> tuple[Floats, Floats]:
 
 
 def _middle(window: int, derivative: int = 0) -> Floats:
-    """Weights (window,) of the rows about the middle one."""
+    """Filter weights (window,) for the middle row."""
     shape, weights = _quadratic(window, derivative)
     return np.asarray(shape[window // 2] @ weights)
 
 
 def _prediction_errors(values: Floats, step: float, width: float) -> Floats:
-    """Squares by which values differ from what their neighbours predict."""
+    """Squared differences (n,) between values (n,) and their predictions from neighbours."""
     window = _window(values.size, step, width)
     if window <= _ORDER + 1:
         return np.full(values.size, np.inf)
@@ -181,7 +182,7 @@ def _prediction_errors(values: Floats, step: float, width: float) -> Floats:
 
 
 def _window(size: int, step: float, width: float) -> int:
-    """Odd number of samples, no more than there are."""
+    """Window length in samples: odd, at most `size`."""
     wanted = int(width / step) | 1
     largest = size if size % 2 else size - 1
     return min(max(wanted, _ORDER + 2 | 1), largest)
@@ -190,7 +191,7 @@ def _window(size: int, step: float, width: float) -> int:
 def _by_segment(
     values: Floats, segment: Integers, function: Callable[[Floats], Floats], step: float, width: float
 ) -> Floats:
-    """Values after a filter of a width [s] along every segment."""
+    """Values after a filter `function` with a `width` [s], segment by segment."""
     result = np.empty_like(values)
     filtered(result, segment, lambda rows: function(values[rows]), _window(segment.size, step, width))
     return result

@@ -1,4 +1,4 @@
-"""What becomes of samples before they make a record: refused, without a partner, after a clock set back."""
+"""Samples before they become a record: refused, unpaired, or recorded after a clock was set back."""
 
 from __future__ import annotations
 
@@ -15,40 +15,40 @@ UNPAIRED = (
     f"have no input angle within {PAIRING_GAP * 1e-6:.0f} ms of their stamp: was one clock used for both, "
     "and does the input come as often?"
 )
-"""What is said of output angles without an input angle."""
+"""Message about output angles without an input angle."""
 
 
 LEAST_RATE = 2.0
-"""Less often no joint is recorded that is to be judged [Hz]."""
+"""Lowest plausible sampling rate of a joint's record [Hz]."""
 
 LONGEST_TURN = 3600.0
-"""For a turn no joint that is to be judged needs more [s]."""
+"""Longest plausible time for one turn of a joint [s]."""
 
 _PARTS = (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))  # of a second
-_MOVED = 0.1  # [rad]; over less a speed is noise
-_CLOCK_WINDOW = 0.5  # in which a clock runs evenly [s]
-_LEAST_JITTER = 1e-3  # of the usual step
-_BETWEEN = 0.5  # of what jitter would move the angle; angles that move by less were taken evenly
+_MOVED = 0.1  # travel below which a speed is noise [rad]
+_CLOCK_WINDOW = 0.5  # time over which a clock runs evenly [s]
+_LEAST_JITTER = 1e-3  # rms, over the usual step
+_BETWEEN = 0.5  # share of the jitter in the angle below which sampling was even
 
 
 def usual_step(time: Floats) -> float:
-    """Between stamps that rise [s]: the median; nan where none does."""
+    """Median step of rising stamps [s]; nan if none rises."""
     step = np.diff(time)
     return float(np.median(step[step > 0.0])) if (step > 0.0).any() else math.nan
 
 
 def without_jitter(time: Floats, angle: Floats, segment: Integers) -> Floats:
-    """Times at which samples were taken [s], (n,): the stamps, less jitter that is theirs alone.
+    """Times of sampling [s], (n,): the stamps without jitter, if only the stamps jitter.
 
-    A control loop reads its encoders evenly, and what stamps the messages is late by more or less: then the
-    angle does not move with the stamp's jitter. At full speed a tenth of a millisecond is 20 arcsec.
+    A control loop reads its encoders evenly, but messages are stamped with a varying delay. The angle then
+    does not follow the stamps' jitter. At full speed a tenth of a millisecond is 20 arcsec.
 
     Parameters
     ----------
     time, angle : ndarray, shape (n,)
         Stamps [s], and an angle that moves [rad].
     segment : ndarray of int64, shape (n,)
-        Number of the stretch without a gap, ascending.
+        Number of the gap-free stretch of each sample, ascending.
     """
     step = usual_step(time)
     inside = np.diff(segment) == 0
@@ -66,12 +66,12 @@ def without_jitter(time: Floats, angle: Floats, segment: Integers) -> Floats:
 
 
 class Stamps(NamedTuple):
-    """Counts of samples that are in no record.
+    """Counts of samples that are in no record, and other problems of the stamps.
 
-    How many were refused and why the last; output angles without an input angle at their stamp; how often the
-    clock was set back in the middle of a recording; what is unfinished, damaged or missing of its files;
-    messages whose stamp was zero, for which the time of reception stands; what is said of rows of a second
-    publisher, which are left out.
+    In order: the number of refused samples and the reason of the last; output angles without an input angle
+    at their stamp; how often the clock was set back within a recording; unfinished, damaged or missing files;
+    messages with a stamp of zero, which get their time of reception; texts about rows of a second publisher,
+    which are left out.
     """
 
     refused: int = 0
@@ -84,7 +84,7 @@ class Stamps(NamedTuple):
 
     @property
     def reported(self) -> dict[str, Any]:
-        """The same by names, for JSON."""
+        """The fields by name, for JSON."""
         names = (
             *("refused", "last_refusal", "unpaired", "clock_set_back"),
             *("problems", "stamps_zero", "second_publisher"),
@@ -94,7 +94,7 @@ class Stamps(NamedTuple):
 
     @property
     def lines(self) -> list[str]:
-        """For people: what is not whole, and what was refused."""
+        """All problems in words: incomplete files, zero stamps, second publishers, refused samples."""
         count = f"{self.refused} samples are" if self.refused > 1 else "1 sample is"
         refused = f"{count} left out, the last because: {self.reason}"
         broken = [self.broken] if self.problems else []
@@ -103,23 +103,23 @@ class Stamps(NamedTuple):
 
     @property
     def received(self) -> str:
-        """What is said of stamps of zero."""
+        """Message about stamps of zero."""
         return f"the stamps of {self.unstamped} messages are zero: the time of reception stands for them"
 
     def after(self, text: str) -> str:
-        """A text, followed by what is not whole of the files unless it says so already."""
+        """A text, followed by the message about incomplete files unless it contains this already."""
         return f"{text}; {self.broken}" if self.problems and self.broken not in text else text
 
     @property
     def broken(self) -> str:
-        """What is not whole, as a sentence's part."""
+        """Message about incomplete files, as part of a sentence."""
         return (
             f"the recording is not whole ({'; '.join(self.problems)}): the result is for what could be read"
         )
 
     @property
     def why(self) -> str:
-        """Why there are so few samples, as far as it is known; empty where it is not."""
+        """Why there are so few samples, in words; empty if unknown."""
         if self.unstamped:
             both = "`stamp: reception` for the joint's other signals puts all on one clock"
             return self.after(f": {self.received}; {both}")
@@ -137,13 +137,13 @@ class Stamps(NamedTuple):
 
 
 UNTOLD = Stamps()
-"""Where nothing is known of them."""
+"""For records without information about their stamps."""
 
 
 def by_clock(time: Floats, bag: Integers, stamps: Stamps) -> tuple[Integers, Stamps]:
-    """Numbers of recordings, another one after each clock set back, and what is reported of stamps.
+    """Recording numbers (n,), with a new one after each clock set back, and the updated stamps.
 
-    Times [s] and numbers of the recordings are of shape (n,); `stamps` is what was reported before.
+    Times [s] and recording numbers have shape (n,); `stamps` holds earlier counts.
     """
     step = np.where(np.diff(bag) == 0, np.diff(time), np.nan)
     back = step < -CLOCK_JUMP * 1e-9
@@ -155,10 +155,10 @@ def by_clock(time: Floats, bag: Integers, stamps: Stamps) -> tuple[Integers, Sta
 
 
 def doubtful_clock(time: Floats, bag: Integers, angle: Floats) -> tuple[str, str] | None:
-    """What no joint is recorded or moved like, where its time is in s, and the unit that it is likely in.
+    """A message and the likely unit of time if it cannot be s; None if rate and motion are plausible.
 
-    Times [s], numbers of the recordings, and angles of the output [rad], each (n,). None where the rate is
-    above :data:`LEAST_RATE` and the joint turns within :data:`LONGEST_TURN`.
+    Times [s], recording numbers and output angles [rad] have shape (n,). Plausible is a rate of at least
+    :data:`LEAST_RATE`, and a speed at which the joint turns within :data:`LONGEST_TURN`.
     """
     step = np.diff(time)
     step = step[(step > 0.0) & (np.diff(bag) == 0)]
@@ -175,7 +175,7 @@ def doubtful_clock(time: Floats, bag: Integers, angle: Floats) -> tuple[str, str
 
 
 def _turn_time(time: Floats, bag: Integers, angle: Floats) -> float:
-    """Time for a turn at the speed that a twentieth of the record exceeds [s]; zero where nothing moves."""
+    """Time for a turn at the speed that a twentieth of the record exceeds [s]; zero if nothing moves."""
     lag = max(time.size // 400, 1)
     same = bag[lag:] == bag[:-lag]
     elapsed, way = (np.abs(column[lag:] - column[:-lag])[same] for column in (time, angle))

@@ -1,4 +1,4 @@
-"""A diagnosis in words: a headline, and one statement for each thing that was found."""
+"""A diagnosis in words: a headline, and one statement for each result."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _DISPLACED = {
     "eccentricity": ("the eccentricity", 1e6, "µm"),
     "runout": ("the wave generator's runout", 1e6, "µm"),
     "tilt": ("the wave generator's tilt", 1e3, "mrad"),
-}  # in words, and as people state it
-_SAME_ORDER = 0.02  # of an order, by which two estimates of it may differ
+}  # name, scale and unit in messages
+_SAME_ORDER = 0.02  # relative difference of two estimates of the same order
 _PER = {"input": "per input turn", "output": "per output turn", "time": "Hz"}
 
 
@@ -35,14 +35,14 @@ def sentence(answer: Answer) -> str:
 
 
 def sentences(answer: Answer) -> list[str]:
-    """The same as sentences of their own; what ends a diagnosis is no part, for the advice says it."""
+    """The verdict as separate sentences, without a fatal finding, because the advice states it."""
     fatal = any(finding.fatal for finding in answer.diagnosis.findings)
     parts = [*([] if fatal else [first_words(answer)]), *statements(answer)]
     return [ended(f"{part[:1].upper()}{part[1:]}") for part in parts]
 
 
 def statements(answer: Answer) -> list[str]:
-    """What the diagnosis says after its headline, one thought each."""
+    """All statements of the diagnosis after its headline."""
     diagnosis = answer.diagnosis
     lost = diagnosis.record.stamps.lines
     if any(finding.fatal for finding in diagnosis.findings):
@@ -55,7 +55,7 @@ def statements(answer: Answer) -> list[str]:
 
 
 def _without_a_name(diagnosis: Diagnosis) -> list[str]:
-    """Lines that nothing explains, lines that are described, and remainders that are larger than usual."""
+    """Unexplained lines, described lines, and remainders that are larger than usual."""
     rows = [row for row in diagnosis.order_table if row.repeats]
     lines = [one for one in diagnosis.unexplained if not any(_describes(row, one) for row in rows)]
     groups = {
@@ -68,7 +68,7 @@ def _without_a_name(diagnosis: Diagnosis) -> list[str]:
 
 
 def _limits(diagnosis: Diagnosis) -> list[str]:
-    """What limits the diagnosis: hints that predict nothing, rows that were not used, and the time."""
+    """Limits of the diagnosis: hints that do not improve prediction, unused rows, and lack of time."""
     rms, record, parts = diagnosis.rms, diagnosis.record, []
     if rms is not None and diagnosis.hints and not diagnosis.predicting:
         parts.append(
@@ -84,7 +84,7 @@ def _limits(diagnosis: Diagnosis) -> list[str]:
 
 
 def _causes(answer: Answer) -> list[str]:
-    """Those that can be named, then those that are nearest to what is left; or why there are none."""
+    """Named causes, then hints; or why there are none."""
     found = answer.diagnosis
     hints = [f"{_cause_in_words(cause)}: {found.doubt(cause)}" for cause in found.hints]
     parts = {
@@ -101,12 +101,12 @@ def _causes(answer: Answer) -> list[str]:
 
 
 def ended(text: str) -> str:
-    """A text with the mark at its end."""
+    """A text with a full stop, unless it ends with one or with a question mark."""
     return text if text.endswith(("?", ".")) else f"{text}."
 
 
 def _current(diagnosis: Diagnosis) -> list[str]:
-    """What cannot be determined because the torque is a motor's current."""
+    """What cannot be determined if the torque is a motor's current; empty otherwise."""
     values = motor_values(diagnosis)
     if values is None:
         return []
@@ -120,7 +120,7 @@ def _current(diagnosis: Diagnosis) -> list[str]:
 
 
 def _parameters(answer: Answer) -> str:
-    """What the fit of the model's own parameters says, in words: what changes the error most first."""
+    """Result of the parameter fit in words; the parameter with the largest effect on the error first."""
     diagnosis, changed = answer.diagnosis, answer.changes
     if diagnosis.refitted is None:
         return "described by its orders alone, without a tooth model: nothing is said about causes"
@@ -131,7 +131,7 @@ def _parameters(answer: Answer) -> str:
         text = f"the eccentricity is as configured ({size['configured'] * 1e6:.1f} µm)"
         away = abs(size["value"] - size["configured"]) + TWO_SIDED * size["std"]
         most = diagnosis.kept.get("eccentricity", away)
-        # A bound stands on a model that describes the record.
+        # A bound is valid only if the model describes the record.
         if answer.judgement == "misfit" or answer.vague:
             return f"{text}, and how far off it may be cannot be determined"
         return f"{text}, as far as this record tells: no more than {most * 1e6:.1f} µm off"
@@ -178,7 +178,7 @@ def _cause_in_words(cause: Cause) -> str:
 
 
 def names_of(cause: Cause) -> str:
-    """Its name in words, with those of all that this record cannot tell from it."""
+    """Name of a cause in words, with all causes that this record cannot distinguish from it."""
     return " or ".join(map(words, cause.alike))
 
 
@@ -188,7 +188,7 @@ _OF = {
     "speed": ("a part that follows the speed", 1.0, "rad/s"),
     "place": ("a part that follows the output's place", 180.0 / math.pi, "°"),
     "time": ("a slow drift", 1.0, "s"),
-}  # in words, and the unit of where it is greatest
+}  # in words; scale and unit of the place of the maximum
 
 
 def function_in_words(one: Function) -> str:
@@ -202,7 +202,7 @@ def function_in_words(one: Function) -> str:
 
 
 def line_in_words(line: Unexplained) -> str:
-    """What is unexplained, with its size."""
+    """An unexplained part in words, with its size."""
     if line.description:
         return f"a part that {line.description} ({arcsec(line.amplitude)})"
     where = f" {line.where}" if line.where else ""
@@ -213,7 +213,7 @@ def line_in_words(line: Unexplained) -> str:
 
 
 def motor_values(diagnosis: Diagnosis) -> dict[str, Any] | None:
-    """What a motor needs of its torque, as fitted; None where the torque is no current."""
+    """Fitted torque constant, friction and inertia of the motor; None if the torque is not from current."""
     for term in diagnosis.model.effects if diagnosis.model else ():
         if term.effect.given:
             return values_of(term.effect, np.array(term.coefficients), term.nonlinear, diagnosis.motor_std)
@@ -223,7 +223,7 @@ def motor_values(diagnosis: Diagnosis) -> dict[str, Any] | None:
 def values_of(
     effect: Effect, coefficients: Floats, nonlinear: tuple[float, ...], stds: dict[str, float]
 ) -> dict[str, Any]:
-    """Physical quantities of an effect, with what is known of their standard deviations."""
+    """Physical quantities of an effect, with their standard deviations; nan if unknown."""
     return {
         name: {"value": value, "std": stds.get(name, math.nan), "unit": unit}
         for name, (value, unit) in effect.to_physical(coefficients, nonlinear).items()

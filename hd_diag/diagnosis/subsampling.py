@@ -1,8 +1,8 @@
-"""Subsets of long records: contiguous stretches, and the few rows between them that friction remembers.
+"""Subsets of long records: contiguous stretches, and the few rows between them that matter to friction.
 
-A fit needs about two kilobytes a row. Of more than `LIMIT` rows it gets stretches of neighbouring rows at
-their true times: they keep the colour of the noise and the orders of the teeth, which random or evenly spaced
-rows would lose.
+A fit needs about two kilobytes per row. From a record with more than `LIMIT` rows it gets stretches of
+neighbouring rows at their true times. These preserve the colour of the noise and the orders of the teeth,
+which random or evenly spaced rows would lose.
 """
 
 from __future__ import annotations
@@ -17,38 +17,38 @@ from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.record import Record
 
 LIMIT = 20_000
-"""Rows that a fit gets, at most. Chosen for speed: more rows average noise, but not what no model describes.
-The whole process then needs less than 1 GiB."""
+"""Largest number of rows of a fit. Chosen for speed: more rows reduce noise, but not misfit. With this limit
+the whole process needs less than 1 GiB."""
 
 _STRETCHES = 48  # two for each block of the fit
 _SHORTEST = 125  # rows of a stretch: shorter ones cover more of the motion, longer ones more noise
-_PLACES = 24  # at which a stretch may begin within its cell
-_LEVELS = 16  # of the torque, of the speed, of the output's turn
-_PAIRED = 6  # of torque and speed together
+_PLACES = 24  # candidate starts of a stretch within its cell
+_LEVELS = 16  # classes of torque, of speed, of the place in the output's turn
+_PAIRED = 6  # classes of torque and of speed in their joint histogram
 _GROUPS = (slice(0, 16), slice(16, 32), slice(32, 48), slice(48, 84))
-_RARE = 0.002  # share of the rows below which nothing needs to be shown
+_RARE = 0.002  # conditions with a smaller share of the rows need not be covered
 
-_APART = 30  # rows between single ones, so that none counts as a neighbour of another
+_APART = 30  # least distance of single rows, so that they are no neighbours
 _SWING = 0.005  # of the range of the torque; smaller reversals are noise
-_REVERSALS = 16  # of the torque that are remembered through a gap
-_PARTS = 8  # of a gap, in each of which the input's way is kept
+_REVERSALS = 16  # most torque reversals kept from a gap
+_PARTS = 8  # parts of a gap, each of which keeps the extremes of the input
 
 
 def subsample(record: Record, limit: int = LIMIT) -> Record:
-    """A record of at most `limit` rows, see :func:`some_rows`: the same where it is short enough.
+    """A record of at most `limit` rows, see :func:`some_rows`; a shorter record is returned unchanged.
 
-    It has the extent of the whole.
+    Its `extent` is that of the whole record.
     """
     return record if record.size <= limit else record.select(some_rows(record, limit))
 
 
 def some_rows(record: Record, limit: int) -> Integers:
-    """Numbers of at most `limit` rows, all of them where there are no more.
+    """Indices of at most `limit` rows; all rows if there are no more.
 
-    Otherwise stretches, one in each of up to 48 cells that divide the runs evenly, or the whole record where
-    it has many runs. The place of a stretch in its cell is chosen so that all torques, speeds, directions and
-    places of the output's turn are covered. Between stretches there are single rows at which torque or input
-    reverse: friction remembers those.
+    Otherwise the runs, or the whole record if it has many runs, are divided evenly into up to 48 cells. Each
+    cell gives one stretch. The place of the stretches is chosen to cover all torques, speeds, directions and
+    places of the output's turn. Between stretches, single rows at reversals of torque or input are kept,
+    because friction remembers these.
     """
     if record.size <= limit:
         return np.arange(record.size)
@@ -63,7 +63,7 @@ def some_rows(record: Record, limit: int) -> Integers:
 
 
 def _cells(record: Record, most: int) -> list[tuple[int, int]]:
-    """First row and end of the cells, in order."""
+    """First row and end (exclusive) of about `most` cells, in order."""
     runs = bounds(record.run)
     if len(runs) > most:
         runs = [(0, record.size)]
@@ -75,7 +75,7 @@ def _cells(record: Record, most: int) -> list[tuple[int, int]]:
 
 
 def _places(record: Record, cells: list[tuple[int, int]], length: int) -> list[int]:
-    """First row of the stretch in each cell: together they shall cover what the whole record covers."""
+    """First row of the stretch in each cell; together the stretches cover the record's conditions."""
     begins = np.array([np.linspace(begin, max(end - length, begin), _PLACES) for begin, end in cells])
     starts = begins.astype(np.int64)
     ends = np.minimum(starts + length, np.array(cells)[:, 1:])
@@ -96,15 +96,15 @@ def _places(record: Record, cells: list[tuple[int, int]], length: int) -> list[i
 
 
 def _wanted(share: Floats) -> Floats:
-    """Shares half-way between those of the record and equal ones: rare conditions tell parameters apart."""
+    """Shares halfway between the record's and equal ones, as rare conditions distinguish parameters."""
     parts = [(share[group], share[group] > _RARE) for group in _GROUPS]
     return np.concatenate([0.5 * part + 0.5 * some / max(int(some.sum()), 1) for part, some in parts])
 
 
 def _counts(record: Record, edges: Integers) -> Floats:
-    """Rows before each of some edges, in order, by torque, speed, place, and torque and speed together.
+    """Number of rows before each of the ascending edges (e,), by class; shape (e, 84).
 
-    Shape (e, 84). The place is that in the output's turn.
+    Classes are those of torque, speed, place in the output's turn, and torque and speed together.
     """
     low, span = float(record.torque.min()), max(float(np.ptp(record.torque)), 1e-9)
     fast = max(float(record.speed.max()), -float(record.speed.min()), 1e-9)
@@ -123,12 +123,12 @@ def _counts(record: Record, edges: Integers) -> Floats:
 
 
 def _level(share: Floats, count: int) -> Integers:
-    """Number of the level, of so many between zero and one."""
+    """Class index of each share between zero and one, for `count` classes."""
     return np.minimum(share * count, count - 1).astype(np.int64)
 
 
 def _between(record: Record, begin: int, end: int) -> Integers:
-    """Single rows of a gap: the last reversals of the torque, and extremes of the input angle."""
+    """Single rows of a gap: remembered reversals of the torque, and extremes of the input angle."""
     rows = slice(begin + _APART, max(end - _APART, 0))
     torque, angle = record.torque[rows], record.input_angle[rows]
     if not torque.size:
@@ -144,7 +144,7 @@ def _between(record: Record, begin: int, end: int) -> Integers:
 
 
 def _reversals(torque: Floats, swing: float) -> list[int]:
-    """Rows of reversals of the torque that no later one exceeded: friction remembers these (Preisach)."""
+    """Rows of torque reversals that no later one exceeds; friction remembers these (Preisach)."""
     first, found = 0, list[int]()
     while first < torque.size and len(found) < _REVERSALS:
         rest = torque[first:][::-1]

@@ -1,4 +1,4 @@
-"""The torque as a regressor: less its noise, with the waves that a sensor feels as the lobes pass."""
+"""The torque as a regressor: smoothed, but with the waves that a sensor feels as the lobes pass."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.smoothing import best_widths, judged, settled, smooth, usual_prediction_error
 from hd_diag.effects.torque_sensor_ripple import ORDERS
 
-_FIRST = 0.2  # window beside which waves are looked for first [s]
-_ALIKE = 0.01  # of the greatest singular value: frames that hardly part over a short way count as one
-_CHANCE = 1e-6  # of as much by noise, for waves to be looked at
-_BETTER = 0.99  # of the usual prediction error, that may be left of it: jumps of the torque are no waves
-_ROUNDS = 6  # in which the window and the waves follow each other
-_PASSES = 2  # the waves go with a torque that has waves itself, then with one that has none
+_FIRST = 0.2  # first window of the search for waves [s]
+_ALIKE = 0.01  # least singular value over the greatest; frames coincide over a short travel
+_CHANCE = 1e-6  # largest p value of waves
+_BETTER = 0.99  # largest ratio of prediction errors with and without waves; jumps are no waves
+_ROUNDS = 6  # alternating updates of window and waves
+_PASSES = 2  # waves scale with the torque: first with its ripple, then without
 
 
 class SmoothedTorque(NamedTuple):
-    """Torque [N m] and window [s], (n,) each; whether waves of the input's turn are left as they are."""
+    """Smoothed torque [N m] and window [s], (n,) each, and whether waves of the input's turn are kept."""
 
     torque: Floats
     window: Floats
@@ -32,24 +32,24 @@ class SmoothedTorque(NamedTuple):
 def smoothed_torque(
     reported: Floats, angle: Floats, ratio: float, segment: Integers, step: float
 ) -> SmoothedTorque:
-    """Torque less its noise.
+    """Torque without its noise.
 
-    A ripple of the lobes would let no window be broad, and a broad one would take some of it away. Its waves
-    are left as they are: of any size and in proportion to the torque, by the input's turn as the housing or
-    either member sees it.
+    A ripple of the lobes would force a narrow window, and a wide window would damp the ripple. Its waves are
+    therefore fitted and kept: of constant size and proportional to the torque, over the input's turn as seen
+    from the housing or either member.
 
     Parameters
     ----------
     reported : ndarray, shape (n,)
         [N m]
     angle : ndarray, shape (n,)
-        Of the input [rad].
+        Input angle [rad].
     ratio : float
-        Input over output angle [-].
+        Input angle over output angle [-].
     segment : ndarray of int64, shape (n,)
-        Number of the stretch without a gap that a sample belongs to, ascending.
+        Number of the gap-free stretch of each sample, ascending.
     step : float
-        Between samples [s].
+        Time between samples [s].
     """
     some = judged(segment)
     sizes = _sizes(reported[some], angle[some], ratio, segment[some], step)
@@ -60,7 +60,7 @@ def smoothed_torque(
             ripple = _ripple(sizes, angle, even, ratio)
             window = best_widths(reported - ripple, segment, step)
             even = smooth(reported - ripple, segment, step, window)
-        if np.std(reported - ripple - even) <= most:  # else they are none elsewhere in the record
+        if np.std(reported - ripple - even) <= most:  # otherwise the waves are local to the judged rows
             return SmoothedTorque(even + ripple, window, True)
     window = best_widths(reported, segment, step)
     smoothed = smooth(reported, segment, step, window)
@@ -68,7 +68,7 @@ def smoothed_torque(
 
 
 def _sizes(reported: Floats, angle: Floats, ratio: float, segment: Integers, step: float) -> Floats | None:
-    """Sizes of the waves, beside which the window is the best; None where they may be noise or jumps."""
+    """Sizes of the waves (k,), found with the best window; None if they may be noise or jumps."""
     window, ripple, known = np.full(reported.size, _FIRST), np.zeros(reported.size), None
     for _ in range(_ROUNDS):
         even = smooth(reported - ripple, segment, step, window)
@@ -92,10 +92,10 @@ def _sizes(reported: Floats, angle: Floats, ratio: float, segment: Integers, ste
 
 
 def _fitted(columns: Floats, values: Floats) -> tuple[Floats, int]:
-    """Least squares by columns (n, k), and how many directions among them part: from k sums of products.
+    """Least-squares coefficients (k,) of columns (n, k), and their rank, from the normal equations.
 
-    A singular value decomposition of the columns themselves, as of `numpy.linalg.lstsq`, takes ten times as
-    long; directions that part by :data:`_ALIKE` or more lose nothing by the square.
+    A singular value decomposition of the columns, as in `numpy.linalg.lstsq`, takes ten times as long.
+    Singular values above :data:`_ALIKE` lose no accuracy by squaring.
     """
     norm = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     even = columns / norm
@@ -107,7 +107,7 @@ def _fitted(columns: Floats, values: Floats) -> tuple[Floats, int]:
 
 
 def _ripple(sizes: Floats, angle: Floats, torque: Floats, ratio: float) -> Floats:
-    """Sum of the waves at their sizes [N m], shape (n,)."""
+    """Sum of the waves with their sizes [N m], shape (n,)."""
     total = np.zeros(torque.size)
     for size, wave in zip(sizes, _waves(angle, torque, ratio), strict=True):
         total += size * wave
@@ -115,7 +115,7 @@ def _ripple(sizes: Floats, angle: Floats, torque: Floats, ratio: float) -> Float
 
 
 def _waves(angle: Floats, torque: Floats, ratio: float) -> Iterator[Floats]:
-    """Waves of the input's turn as the housing and both members see it, and the same times the torque."""
+    """Waves (n,) of the input's turn seen from the housing and both members, each also times the torque."""
     for order, side in product(ORDERS, (-1.0, 0.0, 1.0)):
         phase = order * (1.0 + side / abs(ratio)) * angle
         for wave in (np.cos(phase), np.sin(phase)):

@@ -1,4 +1,4 @@
-"""A diagnosis as JSON, and as lines for a terminal."""
+"""A diagnosis as JSON, and as lines of text for a terminal."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ _HOW_TO_FIND = (
 
 
 def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[str, Any]:
-    """What `hd-diag diagnose --json` writes: schema ``hd_diag/diagnosis/1``; SI.
+    """Content of `hd-diag diagnose --json`: schema ``hd_diag/diagnosis/1``; SI.
 
-    `model` is where the extended model was written.
+    `model` is the path of the extended model's file.
     """
     rms, gain, record = diagnosis.rms or _NO_RMS, diagnosis.gain or _NO_GAIN, diagnosis.record
     counts = {"has_torque": record.has_torque, "outliers": record.outliers, "dropped": record.dropped}
@@ -158,7 +158,7 @@ def _finding(finding: Finding) -> dict[str, Any]:
 
 
 def _unexplained(line: Unexplained) -> dict[str, Any]:
-    """A part without a period has order 0; its description stands before its torque law."""
+    """A part without a period has order 0; its description precedes its torque law."""
     content = {**line.__dict__}
     if description := content.pop("description"):
         content["torque_law"] = f"{description}; {line.torque_law}"
@@ -168,13 +168,13 @@ def _unexplained(line: Unexplained) -> dict[str, Any]:
 
 
 def _zeros(diagnosis: Diagnosis) -> dict[str, Any] | None:
-    """Zeros of several recordings and their scatter; None of one."""
+    """Encoder zeros of several recordings and their scatter [rad]; None for a single recording."""
     zeros = diagnosis.encoder_zeros
     return {"values": zeros, "scatter": float(np.std(zeros, ddof=1))} if len(zeros) > 1 else None
 
 
 def summary(diagnosis: Diagnosis) -> list[str]:
-    """The diagnosis in lines for a terminal."""
+    """The diagnosis as lines of text for a terminal."""
     answer = Answer(diagnosis)
     lines = [advice(answer).text, *sentences(answer)]
     rms, gain = diagnosis.rms, diagnosis.gain

@@ -1,4 +1,4 @@
-"""The work of a diagnosis: how far it is, how long it may take, and what there was no time for."""
+"""The work of a diagnosis: its progress, its time limit, and the steps left out."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 Progress = Callable[[float, str], None]
-"""Takes the share of the time that is done, and what is being done now."""
+"""Receives the finished share of the work and a description of the current step."""
 
 
 class OutOfTime(Exception):
-    """A part of the work has no more time."""
+    """A step of the work reached its time limit."""
 
 
 class Work:
-    """Computing time of this process, counted from here, of which the work may take some `seconds`.
+    """Limits the work to some `seconds` of computing time of this process, counted from here.
 
-    On a free core it is no less than the time by the clock, and a busy machine does not change what is found.
-    What there was no time for is in `left_out`, in words.
+    Computing time on a free core is no less than wall time, and a busy machine does not change the result.
+    `left_out` lists in words the steps that were skipped for lack of time.
     """
 
     def __init__(self, seconds: float = math.inf, progress: Progress = lambda share, text: None) -> None:
@@ -28,25 +28,25 @@ class Work:
 
     @property
     def spent(self) -> float:
-        """Computing time until now [s]."""
+        """Computing time so far [s]."""
         return time.process_time() - self._begin
 
     def tell(self, share: float, text: str) -> None:
-        """Report what is done now and the share that is done, at least that of the time that was spent."""
+        """Report the current step and the finished share, which is at least the share of time spent."""
         least = self.spent / self.seconds if self.spent < self.seconds else 0.0
         self._share = max(self._share, share, least)
         self.progress(self._share, text)
 
     def check(self) -> None:
-        """Raise OutOfTime where the part that is being done has no more time."""
-        if self._most < math.inf and self.spent > self._most:  # asking for the time is slow on some systems
+        """Raise OutOfTime if the current step has reached its time limit."""
+        if self._most < math.inf and self.spent > self._most:  # reading the clock is slow on some systems
             raise OutOfTime
 
     @contextmanager
     def until(self, share: float, what: str) -> Iterator[None]:
-        """A part of the work that ends, wherever it is, when a share of all the time is gone.
+        """Context of a step that is stopped once this share of the total time is spent.
 
-        Then `what` is left out, and what follows the part goes on.
+        Then `what` is added to `left_out`, and the work continues after the step.
         """
         before, self._most = self._most, share * self.seconds
         try:

@@ -1,1 +1,1 @@
-"""Ripple of a torque over position: what a joint with one angle tells of its gear."""
+"""Ripple of a torque over position: analysis of the gear in a joint with one angle."""

@@ -1,10 +1,10 @@
-"""The band of a torque: up to which frequency its own noise shows that waves pass.
+"""The band of a torque: the frequency up to which its noise shows that waves pass the filter.
 
-Noise of a sensor is white at the top of its spectrum. A filter takes it off: the spectrum then falls up to
-the top, or ends in the rounding of the numbers. Waves up there are taken off too; to see none says nothing.
+Sensor noise is white at the top of its spectrum. A low-pass filter removes it: the spectrum then falls up to
+the top, or ends in the rounding of the numbers. Waves there are removed too: their absence proves nothing.
 
-The spectrum is taken over ``s = sin(pi f dt)``. Over it a sampled filter of first order and a moving average
-fall with the square up to the highest frequency; white noise is as flat as over f.
+The spectrum is taken over ``s = sin(pi f dt)``. Over s, a sampled first-order filter and a moving average
+fall with the square up to the highest frequency, and white noise is as flat as over f.
 """
 
 from __future__ import annotations
@@ -19,35 +19,35 @@ from scipy.optimize import nnls
 from hd_diag.arrays import Floats, Integers
 
 PASSING = 0.4
-"""Part of a filter's corner up to which waves count as seen: one of first order passes 93 % there."""
+"""Share of a filter's corner frequency up to which waves count as seen: a first-order filter passes 93 %."""
 
-_DEGREE = 5  # of what is slow in a stretch, over time
-_INNER = 0.8  # part of a stretch in which its window is open
-_BESIDE = 2.5  # periods in a stretch beside a line, and beside what is slow, that they reach
+_DEGREE = 5  # of the polynomial in time that removes slow parts of a stretch
+_INNER = 0.8  # middle share of a stretch, where its window is open
+_BESIDE = 2.5  # reach of a line and of slow parts in the spectrum [periods in a stretch]
 _PER_OCTAVE = 4  # levels of the spectrum
-_LEAST, _MOST = 8, 200  # values of the spectrum at a level; that count
-_REACH = 4  # levels on either side over which a slope is taken: two octaves in all
+_LEAST, _MOST = 8, 200  # least values at a level; most values that add weight
+_REACH = 4  # levels on either side of a slope: two octaves in all
 _TOP = 6  # levels at the top that show whether it is white
-_FLAT = 0.6  # octaves of power by which a level of white noise may be off, beside its scatter
-_FALLS = -1.0  # slope of the logarithms: that of a first-order filter at its corner
-_STEEP = (2, 4, 8, 16)  # powers of the frequency with which a filter falls
-_RED = (2.0, 4.0)  # with which what is slow falls
-_FARTHEST = 3.0  # times the frequency from which on all falls, up to which a corner is believed
-_AS_GOOD = 1.15  # times the least misfit
-_MOST_OCTAVES = 4.0  # that a level counts as off
-_ROUNDED = 2.0  # times the power of rounding: up to there a level may be nothing else
-_VALUES = 64  # that show the step of their numbers
+_FLAT = 0.6  # deviation of a level of white noise beyond its scatter [octaves of power]
+_FALLS = -1.0  # log-log slope of a first-order filter at its corner
+_STEEP = (2, 4, 8, 16)  # powers of the frequency in a filter's roll-off
+_RED = (2.0, 4.0)  # powers of the frequency in the spectrum of slow parts
+_FARTHEST = 3.0  # largest corner, over the frequency above which the spectrum falls
+_AS_GOOD = 1.15  # largest misfit of an equivalent corner, over the least
+_MOST_OCTAVES = 4.0  # largest deviation that a level counts with
+_ROUNDED = 2.0  # levels below this multiple of the rounding power may be pure rounding
+_VALUES = 64  # least number of values that show their rounding step
 
 
 class Band(NamedTuple):
-    """Frequency up to which waves are seen, and the corner of the filter [Hz]; inf where there is none."""
+    """Frequency up to which waves are seen, and corner of the filter [Hz]; inf if there is no filter."""
 
     seen: float
     corner: float
 
 
 class _Levels(NamedTuple):
-    """Spectrum (k,): sine of the frequency, density [N² m²/Hz], how many values that is the median of."""
+    """Spectrum (k,): sine of the frequency, median density [N² m²/Hz], number of values in the median."""
 
     sine: Floats
     power: Floats
@@ -57,7 +57,7 @@ class _Levels(NamedTuple):
         return _Levels(*(column[rows] for column in self))
 
     def falls(self) -> bool:
-        """Whether the density falls as that of a filter beyond its corner; so it is of fewer than three."""
+        """Whether the density falls like a filter beyond its corner; true for fewer than three levels."""
         if self.sine.size < 3:
             return True
         slope = np.polyfit(np.log2(self.sine), np.log2(self.power), 1, w=np.sqrt(self.number))[0]
@@ -70,16 +70,16 @@ def band(time: Floats, angle: Floats, torque: Floats, rows: Integers, orders: Se
     Parameters
     ----------
     time, angle, torque : ndarray, shape (n,)
-        [s]; [rad]; [N m], or of any quantity that goes with it.
+        [s]; [rad]; [N m], or any quantity proportional to torque.
     rows : ndarray of int64, shape (s, 2)
-        First row of each stretch without a gap or a turn, and the one after its last.
+        First row of each stretch without a gap or reversal, and the row after its last.
     orders : sequence of float
-        Periods per turn of the angle whose waves are no noise: at their frequencies nothing is taken.
+        Periods per turn of the angle whose waves are no noise: their frequencies are left out.
     """
     step = float(np.median(np.concatenate([np.diff(time[a:b]) for a, b in rows.tolist()])))
     parts = [(angle[a:b], torque[a:b]) for a, b in rows.tolist()]
     levels = _levels([_periodogram(*part, step, orders) for part in parts])
-    covered = levels.sine.size < _TOP  # by lines: the speed changes so much that they are everywhere
+    covered = levels.sine.size < _TOP  # the speed varies so much that lines cover the spectrum
     if covered:
         levels = _levels([_periodogram(*part, step, ()) for part in parts])
     rounding = 2.0 * step * _rounding(torque)
@@ -89,7 +89,7 @@ def band(time: Floats, angle: Floats, torque: Floats, rows: Integers, orders: Se
     lowest = float(levels.sine[0])
     highest = np.maximum.accumulate(levels.power[::-1])[
         ::-1
-    ]  # a moving average lets some pass between its zeros
+    ]  # a moving average passes some noise between its zeros
     noise = levels._replace(power=highest - rounding).part(np.flatnonzero(real))
     flat = next(
         (
@@ -106,20 +106,20 @@ def band(time: Floats, angle: Floats, torque: Floats, rows: Integers, orders: Se
 
 
 def _near(at: int, size: int) -> slice:
-    """Levels about one; at the top of the spectrum as many, all of them below."""
+    """Levels around the one at index `at`; at the top of the spectrum, the same number below it."""
     begin = max(min(at, size - 1 - _REACH) - _REACH, 0)
     return slice(begin, at + _REACH + 1)
 
 
 def _is_white(top: _Levels) -> bool:
-    """Whether levels are even, but for their scatter."""
+    """Whether the levels are equal within their scatter, and do not fall."""
     octaves = np.log2(np.maximum(top.power, 1e-300))
     allowed = _FLAT + 3.0 / (np.log(2.0) * np.sqrt(top.number))
     return bool((np.abs(octaves - np.median(octaves)) <= allowed).all()) and not top.falls()
 
 
 def _fitted_corner(noise: _Levels) -> float:
-    """Sine of the lowest corner that explains the levels, of white noise and what is slow, as well as any."""
+    """Sine of the lowest filter corner that fits the levels, as white noise plus slow parts, about best."""
     weight = np.sqrt(np.minimum(noise.number, _MOST))
     corners = 2.0 ** np.arange(np.log2(noise.sine[0]), 0.01, 1.0 / _PER_OCTAVE)
     misfit = []
@@ -136,14 +136,14 @@ def _fitted_corner(noise: _Levels) -> float:
 
 
 def _misfit(parts: Floats, weight: Floats) -> float:
-    """Octaves by which the best sum of parts, of none less than nothing, is not one; in all."""
+    """Weighted sum of deviations from one [octaves], for the best non-negative sum of `parts` (k, 2)."""
     scale = parts.max(axis=0)
     found = parts @ (nnls(weight[:, None] * parts / scale, weight)[0] / scale)
     return float(np.sum(weight * np.abs(np.log2(np.maximum(found, 2.0**-_MOST_OCTAVES)))))
 
 
 def _levels(spectra: Sequence[tuple[Floats, Floats]]) -> _Levels:
-    """Levels of the spectra of stretches: medians, so that lines do not count."""
+    """Levels of the stretches' spectra: medians, which suppress lines."""
     sine, power = (np.concatenate(parts) for parts in zip(*spectra, strict=True))
     number = np.ceil(_PER_OCTAVE * np.log2(sine)).astype(np.int64)
     numbers, counts = np.unique(number, return_counts=True)
@@ -155,7 +155,7 @@ def _levels(spectra: Sequence[tuple[Floats, Floats]]) -> _Levels:
 def _periodogram(
     angle: Floats, torque: Floats, step: float, orders: Sequence[float]
 ) -> tuple[Floats, Floats]:
-    """Sines of the frequencies of a stretch, and its density there, by Hann's window squared."""
+    """Sines of the frequencies of a stretch, and its density there, with a squared Hann window."""
     place = np.linspace(-1.0, 1.0, torque.size)
     basis = legendre.legvander(place, _DEGREE)
     slow, smooth = (basis @ np.linalg.lstsq(basis, one, rcond=None)[0] for one in (torque, angle))
@@ -170,7 +170,7 @@ def _periodogram(
 
 
 def _rounding(torque: Floats) -> float:
-    """Variance that the step of the numbers gives [N² m²]: of those between two powers of two the same."""
+    """Rounding variance of a torque [N² m²], from the step of its numbers between each two powers of two."""
     binade, total = np.frexp(torque)[1], 0.0
     for one in np.unique(binade):
         own = torque[binade == one]

@@ -1,4 +1,4 @@
-"""A torque that is late against the angle: it turns the phase of each line with its order and the speed."""
+"""Delay of the torque against the angle, which shifts a line's phase in proportion to order and speed."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from hd_diag.diagnosis.ripple.lines import BESIDE, FALSE_ALARM
 from hd_diag.diagnosis.ripple.windows import TURN, TURNS, Windows
 
 LONGEST = 0.05
-"""Delay that is looked for, either way [s]."""
+"""Largest delay in the search, of either sign [s]."""
 
 _PHASE = 0.25  # step of the search at the highest order and speed [rad]
-_MOST_WINDOWS = 1000  # that it is looked for in
-_STANDS_OUT = 3.0  # deviations of a line's mean in the usual part of the record
-_STDS = 3.0  # deviations from zero
+_MOST_WINDOWS = 1000  # in the search
+_STANDS_OUT = 3.0  # least mean of a line in the median part, in deviations
+_STDS = 3.0  # least delay, in standard deviations
 
 
 class Delay(NamedTuple):
-    """Time by which the torque is late, and its standard deviation [s]."""
+    """Delay of the torque, positive if late, and its standard deviation [s]."""
 
     value: float
     std: float
 
 
 class _Wave(NamedTuple):
-    """Amplitudes (s,) of the windows at an order per turn of the input; their speeds [rad/s], their parts."""
+    """Amplitudes (s,) of windows at an order per turn of the input; their speeds [rad/s] and part numbers."""
 
     order: float
     values: Complexes
@@ -39,27 +39,28 @@ class _Wave(NamedTuple):
     part: Integers
 
     def turned(self, delay: float) -> Complexes:
-        """What they would be without the delay."""
+        """Amplitudes without the delay (s,)."""
         return np.asarray(self.values * np.exp(1j * self.order * self.speed * delay))
 
     def mean(self, delay: float) -> Complexes:
-        """Of each window's direction (s,)."""
+        """Mean of the turned amplitudes in each window's direction (s,)."""
         turned, ahead = self.turned(delay), self.speed > 0.0
         each = [turned[ahead == way].mean() if (ahead == way).any() else 0.0 for way in (False, True)]
         return np.where(ahead, each[1], each[0])
 
     def likelihood(self, delay: float) -> float:
-        """Logarithm, but for a constant, of the windows being one line, of either direction a phase."""
+        """Log likelihood, up to a constant, of one line in all windows, with one phase per direction."""
         rest = self.turned(delay) - self.mean(delay)
         return -self.values.size * float(np.log(np.mean(np.abs(rest) ** 2) + 1e-300))
 
 
 def found_delay(at: Windows, multiples: Sequence[float], shift: float) -> Delay | None:
-    """Delay by all lines and all recordings together; None where it is none, or not proved.
+    """Delay from all lines and recordings together; None if there is none, or if it is not proved.
 
     The lines are at multiples of the input's turn, as seen from the housing and, with a shift per multiple,
-    from the output. Proved is a delay that the windows ask for, and with which more phases fall together than
-    one number could bring about: those of recordings, of one recording those of its runs.
+    from the output. A delay is proved if it raises the likelihood of the windows enough, and if it aligns
+    more phases than a single number could by chance. The phases are those of recordings, or of the runs of
+    a single recording.
     """
     waves = [wave for one in multiples for wave in _waves(at, one, shift) if wave.values.size > 2]
     if not waves:
@@ -84,7 +85,7 @@ def found_delay(at: Windows, multiples: Sequence[float], shift: float) -> Delay 
 
 
 def late(time: Floats, angle: Floats, record: Integers, delay: float) -> Floats:
-    """The angle some time before each sample (n,), within stretches without a gap."""
+    """The angle a `delay` [s] before each sample (n,), within stretches without a gap."""
     found = angle.copy()
     for begin, end in bounds(segments(time, record, GAP_STEPS)):
         own = slice(begin, end)
@@ -93,7 +94,7 @@ def late(time: Floats, angle: Floats, record: Integers, delay: float) -> Floats:
 
 
 def _waves(at: Windows, multiple: float, shift: float) -> list[_Wave]:
-    """Two waves at a multiple of the input's turn: seen from the housing, from the output."""
+    """Two waves at a multiple of the input's turn: one seen from the housing, one from the output."""
     at = at.select(at.highest >= multiple + BESIDE[1] / TURNS)
     at = at.select(
         np.unique(np.linspace(0, max(at.size - 1, 0), min(at.size, _MOST_WINDOWS)).astype(np.int64))
@@ -105,7 +106,7 @@ def _waves(at: Windows, multiple: float, shift: float) -> list[_Wave]:
 
 
 def _means(wave: _Wave, delay: float) -> tuple[Complexes, Complexes, Floats]:
-    """Mean of each part (p,), that of its direction, and its speed."""
+    """Mean amplitude of each part (p,), mean amplitude of its direction, and its mean speed."""
     turned, usual = wave.turned(delay), wave.mean(delay)
     rows = [np.flatnonzero(wave.part == one) for one in np.unique(wave.part)]
     return (
@@ -116,7 +117,7 @@ def _means(wave: _Wave, delay: float) -> tuple[Complexes, Complexes, Floats]:
 
 
 def _stands_out(wave: _Wave, delay: float) -> bool:
-    """Whether the usual part has a line."""
+    """Whether the median part has a line."""
     turned = wave.turned(delay)
     means = _means(wave, delay)[0]
     own = means[np.searchsorted(np.unique(wave.part), wave.part)]
@@ -126,9 +127,9 @@ def _stands_out(wave: _Wave, delay: float) -> bool:
 
 
 def _chance(waves: Sequence[_Wave], delay: float) -> tuple[float, float]:
-    """Chance that random phases of the parts lie as near together, and the delay's standard deviation [s].
+    """Chance that random phases of the parts agree as well, and the delay's standard deviation [s].
 
-    The rest of k free phases lies in a ball of this radius, of all in a cube of 2 pi.
+    It is the volume of a ball with the radius of the phase residuals, over that of the cube of side 2 pi.
     """
     squares = freedom = lever = 0.0
     for wave in waves:

@@ -1,4 +1,4 @@
-"""Lines of a torque at a multiple of the wave generator's turn: size, phase, and whether they repeat."""
+"""Lines of a torque at multiples of the wave generator's turn: amplitude, phase, and whether they repeat."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from hd_diag.arrays import Complexes, Floats, Integers
 from hd_diag.diagnosis.ripple.windows import TURN, TURNS, Windows
 
 FALSE_ALARM = 1e-3
-"""Chance that a record without ripple shows any of one kind: the gear's, another."""
+"""Chance that a record without ripple shows any line of one kind: at the gear's orders, or at others."""
 
 LEAST_WINDOWS = 5
-"""Windows of motion that a line takes."""
+"""Least number of windows for a line."""
 
 BESIDE = (2.0, 4.0)
 """Least and greatest distance of the orders beside a line [periods in a window]."""
 
-_MOST_BESIDE = 12  # of them on either side
-_CONDITION = 30.0  # of columns that can be told apart
-_LEAST_RUNS = 6  # from which on runs, not windows, are what is independent
-_SAME = 9.0  # deviance that another order may cost and still count as equal to the best
-_LEAST_RECORDS = 3  # that tell a deviation
-_NO_NOISE = 1e-12  # deviation of a part at least [N m]
-_POWER = 2.33  # standard deviations: found with 99 % chance
-_OTHER = 0.01  # chance below which parts differ
-_STEADY = 0.8  # agreement from which phases count as the same all the same: sizes go with speed and load
+_MOST_BESIDE = 12  # orders on either side
+_CONDITION = 30.0  # largest squared condition number of distinguishable columns
+_LEAST_RUNS = 6  # with as many runs, the runs count as independent samples too
+_SAME = 9.0  # deviance up to which another order counts as equal to the best
+_LEAST_RECORDS = 3  # for a deviation from their scatter
+_NO_NOISE = 1e-12  # least deviation of a part [N m]
+_POWER = 2.33  # standard deviations for detection with 99 % chance
+_OTHER = 0.01  # p value below which parts differ
+_STEADY = 0.8  # agreement above which phases count as equal, as sizes vary with speed and load
 
 
 class RecordedLine(NamedTuple):
@@ -50,20 +50,20 @@ class Line:
     order : float
         Periods per turn of the output.
     reverses : bool
-        Whether it changes its sign with the direction: friction, or a torque that is late, do.
+        Whether it changes its sign with the direction, as friction or a late torque does.
     alike : tuple of (float, bool)
-        Orders, and whether they reverse, that explain the record about as well.
+        Orders that explain the record about as well, and whether they reverse.
     amplitude, std, phase, least : float
-        [N m], [N m], [rad], as found or not; the deviation is that of cosine or sine; amplitude that would
-        have been found with 99 % chance [N m].
+        [N m], [N m], [rad], whether found or not; `std` is that of the cosine or sine part; `least` is the
+        amplitude that would have been found with 99 % chance [N m].
     p_value : float
-        Of noise alone, of this one test.
+        Chance of this amplitude by noise alone, for this one test.
     agreement : float
         Length of the mean of the runs' phases, weighted by amplitude: 1 if all are the same.
     repeats : bool or None
-        Whether it is the same in every recording, of one in every run; None where there is only one.
+        Whether it is the same in every recording, or in every run of a single one; None for a single run.
     filtered : bool
-        Whether it was found where a filter takes waves off: it is larger by what is not known.
+        Whether a filter damps waves at this frequency: the true amplitude is larger by an unknown factor.
     """
 
     order: float
@@ -84,10 +84,10 @@ class Line:
 def lines_at(
     whole: Windows, multiple: float, ratio: float, shifts: Sequence[float], tests: int
 ) -> list[Line]:
-    """A line for each column that can be tested at a multiple of the wave generator's turn, found or not.
+    """A line for each testable column at a multiple of the wave generator's turn, found or not.
 
-    Columns are shifts of the multiple, each the same in both directions and reversing; all of it is one of
-    so many `tests`.
+    Each of the `shifts` of the multiple gives two columns: one equal in both directions, one reversing. The
+    false alarm is divided by the number of `tests`.
     """
     waves = _waves_at(multiple, whole)
     columns = [_Column(shift, reverses) for reverses in (False, True) for shift in shifts]
@@ -113,7 +113,7 @@ def lines_at(
 
 
 def _found(waves: _Waves, columns: list[_Column], column: _Column, threshold: float) -> tuple[Any, ...]:
-    """Values of a `Line` from its amplitude on, for one of the columns that are fitted together."""
+    """Values of a `Line` from `amplitude` on, for one of the jointly fitted columns."""
     at, found = columns.index(column), _estimate(waves, columns)
     value, others = complex(found.values[at]), found.values.copy()
     others[at] = 0.0
@@ -123,7 +123,7 @@ def _found(waves: _Waves, columns: list[_Column], column: _Column, threshold: fl
         [_mean(one, column) for one in rest.parts(number)] for number in (waves.at.record, waves.at.run)
     )
     std = max(float(found.stds[at]), _scatter(parts))
-    # F of two degrees of freedom, in closed form.
+    # Quantile of F with two degrees of freedom in the numerator, in closed form.
     limit = math.sqrt(found.freedom * (threshold ** (-2.0 / found.freedom) - 1.0))
     return (
         abs(value),
@@ -141,7 +141,7 @@ def _found(waves: _Waves, columns: list[_Column], column: _Column, threshold: fl
 def _alike(
     waves: _Waves, columns: list[_Column], column: _Column, possibly: Sequence[_Column]
 ) -> Iterator[_Column]:
-    """Columns that explain the windows about as well in the place of one."""
+    """Columns that explain the windows about as well in place of the given one."""
     found = _estimate(waves, columns)
     for other in possibly:
         trial = [other if one == column else one for one in columns]
@@ -152,23 +152,23 @@ def _alike(
 
 
 def _mean(waves: _Waves, column: _Column) -> tuple[complex, float]:
-    """Amplitude of one column in some windows, with its deviation by the orders beside."""
+    """Amplitude of one column in some windows, and its standard deviation from the orders beside [N m]."""
     inverse = np.linalg.pinv(waves.design([column]))[0] * np.sqrt(waves.weight)
     spread = np.sqrt(0.5 * np.mean(np.abs(inverse @ waves.beside) ** 2))
     return complex(inverse @ waves.values), float(spread)
 
 
 def _scatter(parts: Sequence[tuple[complex, float]]) -> float:
-    """Deviation of a mean by the scatter of recordings; zero where they are too few."""
+    """Standard deviation of a mean from the scatter of recordings; zero if there are too few."""
     if len(parts) < _LEAST_RECORDS:
         return 0.0
     return float(np.std([one for one, _ in parts]) / np.sqrt(2.0 * (len(parts) - 1)))
 
 
 def _same(parts: Sequence[tuple[complex, float]]) -> bool | None:
-    """Whether parts differ from their mean by no more than their noise, or agree well; None of a single part.
+    """Whether parts differ from their mean by no more than noise, or agree well; None for a single part.
 
-    Their scatter is what is judged: it is no part of the deviation.
+    The test is about their scatter, so the deviation must not contain it.
     """
     if len(parts) < 2:
         return None
@@ -180,28 +180,28 @@ def _same(parts: Sequence[tuple[complex, float]]) -> bool | None:
 
 
 def _agreement(values: Sequence[complex]) -> float:
-    """Length of the mean of phases, weighted by size: 1 if all are the same."""
+    """Length of the mean of the phases, weighted by amplitude: 1 if all are the same."""
     sizes = np.array(values)
     return float(np.abs(np.sum(sizes)) / max(float(np.sum(np.abs(sizes))), 1e-300))
 
 
 def _apart(line: Line) -> Line:
-    """A line whose phase differs between recordings; its amplitude is the rms of theirs."""
+    """A found line whose phase differs between recordings; its amplitude is their rms."""
     sizes, stds = (np.array([getattr(part, name) for part in line.records]) for name in ("amplitude", "std"))
     size, std = float(np.sqrt(np.mean(sizes**2))), float(np.sqrt(np.mean(stds**2) / sizes.size))
     return replace(line, amplitude=size, std=std, phase=np.nan, found=True, repeats=False)
 
 
 def _phase(value: complex) -> float:
-    """Of ``cos(order angle - phase)`` [rad]."""
+    """Phase in ``cos(order angle - phase)`` [rad]."""
     return float(-np.angle(value) % TURN)
 
 
-# Waves, and which of them stand out ---
+# Waves, and selection of the significant ones ---
 
 
 class _Column(NamedTuple):
-    """What a wave's amplitudes in the windows go with: its order less the multiple; its sign's law."""
+    """A regressor of amplitudes over windows: its order less the multiple, and whether the sign reverses."""
 
     shift: float
     reverses: bool
@@ -216,14 +216,14 @@ class _Waves(NamedTuple):
     weight: Floats
 
     def parts(self, number: Integers) -> list[_Waves]:
-        """Those of the windows of each number (s,)."""
+        """Waves of the windows with each value of `number` (s,)."""
         return [
             _Waves(self.at.select(rows), self.values[rows], self.beside[rows], self.weight[rows])
             for rows in (number == one for one in np.unique(number))
         ]
 
     def design(self, columns: Sequence[_Column]) -> Complexes:
-        """Shape (s, p), each row times the root of its weight."""
+        """Design matrix (s, p), with each row times the root of its weight."""
         turned = [np.exp(1j * column.shift * self.at.middle) for column in columns]
         signs = [self.at.direction if column.reverses else 1.0 for column in columns]
         root = np.sqrt(self.weight)
@@ -231,7 +231,7 @@ class _Waves(NamedTuple):
 
 
 class _Estimate(NamedTuple):
-    """Amplitudes (p,), their deviations, chances by noise alone, freedom, and the deviance that is left."""
+    """Amplitudes (p,), their deviations and p values, degrees of freedom, and the residual deviance."""
 
     values: Complexes
     stds: Floats
@@ -241,7 +241,7 @@ class _Estimate(NamedTuple):
 
 
 def _waves_at(order: float, at: Windows) -> _Waves:
-    """Waves at an order per turn of the input, of the windows whose samples tell it."""
+    """Waves at an order per turn of the input, in the windows that resolve it."""
     at = at.select(at.highest >= order + BESIDE[1] / TURNS)
     if not at.size:
         return _Waves(at, np.empty(0, complex), np.empty((0, 0), complex), np.empty(0))
@@ -253,11 +253,11 @@ def _waves_at(order: float, at: Windows) -> _Waves:
 
 
 def _estimate(waves: _Waves, columns: Sequence[_Column]) -> _Estimate:
-    """Amplitudes of columns fitted together.
+    """Amplitudes of jointly fitted columns.
 
-    The variance is the greatest of three: by the scatter of the windows; of the runs, where there are enough
-    (what the runs' speeds or courses have in common is not independent in their windows); of the amplitudes
-    that the orders beside have. Each gives its own F-test.
+    The variance is the largest of three: from the scatter of the windows; from that of the runs, if there are
+    enough (windows of a run share its speed and path, so they are not independent); from the amplitudes at
+    the orders beside. Each has its own F-test, and the largest p value counts.
     """
     design, root = waves.design(columns), np.sqrt(waves.weight)[:, None]
     inverse = np.linalg.pinv(design)
@@ -281,7 +281,7 @@ def _estimate(waves: _Waves, columns: Sequence[_Column]) -> _Estimate:
 
 
 def _possible(waves: _Waves, columns: Sequence[_Column]) -> bool:
-    """Whether the windows are enough, and tell the columns apart."""
+    """Whether there are enough windows, and the columns are distinguishable in them."""
     ways = min(np.count_nonzero(waves.at.direction == sign) for sign in (1.0, -1.0))
     if waves.at.size < len(columns) + LEAST_WINDOWS - 1 or (ways < 2 and any(c.reverses for c in columns)):
         return False
@@ -289,7 +289,7 @@ def _possible(waves: _Waves, columns: Sequence[_Column]) -> bool:
 
 
 def _standing_out(waves: _Waves, columns: Sequence[_Column], threshold: float) -> list[_Column]:
-    """Columns that stand out, chosen one by one: always the one that leaves least."""
+    """Significant columns, selected one by one: each time the one with the smallest residual."""
     chosen: list[_Column] = []
     while True:
         trials = [[*chosen, column] for column in columns if column not in chosen]

@@ -1,8 +1,8 @@
-"""Ripple of a joint's torque over its position: what one angle, with a torque or a current, tells of a gear.
+"""Ripple of a joint's torque over its position: analysis of a gear by one angle and a torque or current.
 
-At an order each window of the motion has a complex amplitude. Over the windows these must agree in phase, and
-their mean must stand out of those at the orders beside. No error of the gear follows from it, and no cause: a
-torque shows what sensor, motor, friction and gear do together.
+At an order each window of the motion has a complex amplitude. These must agree in phase over the windows, and
+their mean must exceed those at neighbouring orders. The ripple gives neither an error of the gear nor
+a cause: a torque shows the combined effect of sensor, motor, friction and gear.
 """
 
 from __future__ import annotations
@@ -22,29 +22,29 @@ from hd_diag.effects.order_spectrum import peaks, prominence, top
 from hd_diag.model.transmission_error import Kinematics
 
 MULTIPLES = (1.0, 2.0, 4.0)
-"""Periods per turn of the wave generator: itself, its two lobes, and their double."""
+"""Periods per turn of the wave generator: itself, its two lobes, and twice the lobes."""
 
 NO_TORQUE = "the robot's driver would have to publish effort, or the current"
-"""What is said to those whose torque is not measured."""
+"""Message if the torque is not measured."""
 
 _TOO_FEW = "the samples are too far apart to resolve its waves; record faster, or"
-_LOWEST, _HIGHEST = 0.3, 4.5  # of the spectrum, per turn of the wave generator
-_MOST_WINDOWS = 200  # that a spectrum is made of
+_LOWEST, _HIGHEST = 0.3, 4.5  # orders of the spectrum, per turn of the wave generator
+_MOST_WINDOWS = 200  # in a spectrum
 _MOST_OTHERS = 3
-_WIDTH = 1.5  # of a line, in periods over the reach
+_WIDTH = 1.5  # width of a line, in periods over the reach
 
 
 @dataclass(frozen=True)
 class Unseen:
-    """An order of the gear that the record cannot hold.
+    """An order of the gear that the record cannot show.
 
     Attributes
     ----------
     order, frequency : float
-        Periods per turn of the output; of its wave, in the middle of the record [Hz].
+        Periods per turn of the output; frequency at the median speed of the record [Hz].
     corner, slower : float
-        Of the filter that takes it off [Hz], inf where the samples are too far apart; speed of the output
-        below which it would be seen [rad/s].
+        Corner of the filter that removes it [Hz], inf if the sampling is too slow instead; speed of the
+        output below which it would be visible [rad/s].
     """
 
     order: float
@@ -55,22 +55,22 @@ class Unseen:
 
 @dataclass(frozen=True)
 class Ripple:
-    """Lines of a joint's torque, by a gear whose ratio has this magnitude.
+    """Lines of a joint's torque; `ratio` is the magnitude of the gear's ratio.
 
     Attributes
     ----------
     lines, others : tuple of Line
-        At the gear's orders, found or not, by order; at others, the strongest first.
+        Lines at the gear's orders, found or not, by order; lines at other orders, the strongest first.
     orders, spectrum : ndarray, shape (k,)
-        Per turn of the output; amplitude of the mean over the windows [N m].
+        Orders per turn of the output; amplitude of the mean over the windows [N m].
     turns, reach : float
-        Of the wave generator that the windows cover; of the output from end to end.
+        Turns of the wave generator that the windows cover; turns of the output from end to end.
     unseen : tuple of Unseen
-        Orders of the gear that the record cannot hold.
+        Orders of the gear that the record cannot show.
     corner : float
-        Of a filter of the torque [Hz]; inf where none is seen.
+        Corner of a low-pass filter of the torque [Hz]; inf if there is none.
     delay : Delay or None
-        Of the torque against the angle, without which the lines are given; None where none was found.
+        Delay of the torque against the angle, for which the lines are corrected; None if none was found.
     """
 
     ratio: float
@@ -101,16 +101,16 @@ def ripple(
     Parameters
     ----------
     time, input_angle, torque, record : ndarray, shape (n,)
-        As :func:`hd_diag.diagnosis.ripple.windows.windows` takes them; of a joint with one angle, that
-        times the ratio. A torque of None is not measured.
+        As in :func:`hd_diag.diagnosis.ripple.windows.windows`; a joint with only an output angle gives that
+        times the ratio. None: the torque is not measured.
     kinematics : Kinematics
-        Its ratio is that of the wave generator's turns seen from the housing; seen from the output it is one
-        more with the output at the flexspline, else one less.
+        Its ratio counts the wave generator's turns seen from the housing. Seen from the output, there is one
+        more if the output is the flexspline, otherwise one less.
 
     Raises
     ------
     RecordError
-        Where the motion is too short, the samples are too far apart, or the torque does not change.
+        If the motion is too short, the sampling is too slow, or the torque does not change.
     """
     if torque is None:
         raise RecordError(f"the torque is not in it: {NO_TORQUE}")
@@ -162,13 +162,13 @@ def ripple(
 
 
 def _within(whole: Windows, passed: Band) -> Windows:
-    """Windows that tell no more than the torque's band holds."""
+    """Windows whose `highest` order is limited to the torque's band."""
     turns = np.maximum(np.abs(whole.speed), 1e-300) / TURN
     return replace(whole, highest=np.minimum(whole.highest, passed.seen / turns))
 
 
 def _unseen(whole: Windows, passed: Band, multiple: float, ratio: float) -> Unseen:
-    """Why the windows do not tell an order per turn of the input."""
+    """Why the windows cannot show a multiple of the wave generator's turn."""
     turns, highest = np.abs(whole.speed) / TURN, multiple + BESIDE[1] / TURNS
     usual = float(np.median(turns))
     by_samples = bool(np.median(whole.highest) < highest)
@@ -178,7 +178,7 @@ def _unseen(whole: Windows, passed: Band, multiple: float, ratio: float) -> Unse
 
 
 def not_seen(unseen: Sequence[Unseen]) -> str:
-    """Why orders cannot be seen in a record, in a sentence or two; nothing where there are none."""
+    """Why orders cannot be seen in a record, in a sentence or two; empty if all can be seen."""
     told = []
     for by_filter in (True, False):
         own = [one for one in unseen if np.isfinite(one.corner) == by_filter]
@@ -191,7 +191,7 @@ def not_seen(unseen: Sequence[Unseen]) -> str:
 
 
 def _spectrum(whole: Windows) -> tuple[Floats, Floats]:
-    """Orders per turn of the wave generator, and amplitudes of the mean over windows spread over all."""
+    """Orders per turn of the wave generator (k,), and amplitudes of the mean over some windows (k,) [N m]."""
     some = whole.select(np.unique(np.linspace(0, whole.size - 1, _MOST_WINDOWS).astype(np.int64)))
     highest = min(_HIGHEST, float(np.median(some.highest)))
     orders = np.arange(_LOWEST, max(highest, _LOWEST + 1e-9), 0.5 / some.reach)
@@ -201,7 +201,7 @@ def _spectrum(whole: Windows) -> tuple[Floats, Floats]:
 def _others(
     whole: Windows, orders: Floats, spectrum: Floats, lines: Sequence[Line], ratio: float
 ) -> list[Line]:
-    """Lines at the spectrum's peaks that are not at the gear's orders nor beside those that were found."""
+    """Lines at the spectrum's peaks that are neither at the gear's orders nor next to found lines."""
     beside = int(BESIDE[0] / TURNS / (orders[1] - orders[0])) if orders.size > 1 else 0
     height = prominence(spectrum, 2 * beside)
     for line in lines:

@@ -10,11 +10,11 @@ from hd_diag.diagnosis.ripple.ripple import Ripple, not_seen
 from hd_diag.formatting import json_ready, number, si, spread_number
 
 TITLES = ("per output turn", "amplitude [N m]", "phase", "runs agree", "repeats", "or")
-"""Of the columns of `row`."""
+"""Titles of the columns of `row`."""
 
 
 def as_json(found: Ripple, joint: str) -> dict[str, Any]:
-    """What `hd-diag ripple --json` writes: schema ``hd_diag/ripple/1``; SI, orders per turn of the output."""
+    """Content of `hd-diag ripple --json`: schema ``hd_diag/ripple/1``; SI, orders per turn of the output."""
     content = {
         "schema": "hd_diag/ripple/1",
         "joint": joint,
@@ -45,7 +45,7 @@ def _line(line: Line) -> dict[str, Any]:
 
 
 def sentence(found: Ripple) -> str:
-    """What the torque shows, in a sentence or two."""
+    """Result of the torque's ripple in a few sentences."""
     ratio = number(found.ratio)
     if found.found:
         text = f"The torque ripples with the gear of ratio {ratio}: {_listed(found.found)}."
@@ -80,7 +80,7 @@ def _listed(lines: tuple[Line, ...]) -> str:
 
 
 def row(line: Line) -> tuple[str, ...]:
-    """Cells of a table, by `TITLES`; of a line that was not found what would have been."""
+    """Cells of a table row, by `TITLES`; for a line that was not found, the detection limit."""
     order = number(line.order) + (", reverses" if line.reverses else "")
     if not line.found:
         return order, f"< {number(line.least, digits=2)}", "", "", "", ""

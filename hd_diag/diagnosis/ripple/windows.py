@@ -1,4 +1,4 @@
-"""Torque over position: windows of some turns of the wave generator, each less a smooth part of its own."""
+"""Torque over position, in windows of some turns of the wave generator, each with its smooth part removed."""
 
 from __future__ import annotations
 
@@ -15,34 +15,34 @@ from hd_diag.diagnosis.record import GAP_STEPS, RecordError, segments
 from hd_diag.diagnosis.smoothing import rate
 
 TURNS = 8.0
-"""Of the wave generator in a window."""
+"""Turns of the wave generator in a window."""
 
 TURN = 2.0 * np.pi
 
-_CELLS = 512  # of a window, over which samples are averaged
-_LEAST_SAMPLES = 4.0  # of a period; and of a window, for each degree of its smooth part
-_SLOW = 0.1  # of the greatest speed, below which friction is not smooth
+_CELLS = 512  # averaging cells of a window
+_LEAST_SAMPLES = 4.0  # per period, and per degree of a window's smooth part
+_SLOW = 0.1  # of the top speed; friction is not smooth below
 _SPEED_WINDOW = 0.05  # [s]
-_DEGREE = 3  # of the smooth part, over position and over time
+_DEGREE = 3  # degree of the smooth part, over position and over time
 
 
 @dataclass(frozen=True)
 class Windows:
-    """Stretches of one direction and equal travel, s of them, in cells (s, c).
+    """Stretches of one direction and about equal travel; s windows with c cells each.
 
     Attributes
     ----------
     phase, rest, weight : ndarray, shape (s, c)
-        Input angle [rad]; torque less what is smooth over position and time [N m]; of a cell, by Hann's
-        window over the travel; the sum is 2.
+        Input angle [rad]; torque without its smooth part over position and time [N m]; weight of each cell
+        by Hann's window over the travel, with a sum of 2.
     direction, middle, speed : ndarray, shape (s,)
         1 or -1; mean input angle [rad]; mean speed of the input over the travel, signed [rad/s].
     rows : ndarray of int64, shape (s, 2)
-        First row of the samples, and the one after the last.
+        First row of the samples, and the row after the last.
     run, record : ndarray of int64, shape (s,)
-        Number of the motion without a turn or a rest that a window is of; of the recording.
+        Number of the motion without a reversal or rest; number of the recording.
     highest : ndarray, shape (s,)
-        Periods per turn of the input up to which the samples tell a wave.
+        Highest order that the samples resolve, in periods per turn of the input.
     """
 
     phase: Floats
@@ -71,7 +71,7 @@ class Windows:
         return replace(self, **{name: column[rows] for name, column in vars(self).items()})
 
     def amplitudes(self, orders: Floats) -> Complexes:
-        """Complex amplitudes (s, k) [N m] of waves at orders (k,) per turn of the input, from angle zero."""
+        """Complex amplitudes (s, k) [N m] at orders (k,) per turn of the input; phase zero at angle zero."""
         weighted = self.weight * self.rest
         waves = [np.sum(weighted * np.exp(-1j * order * self.phase), axis=1) for order in orders]
         return np.stack(waves, axis=1)
@@ -83,14 +83,14 @@ def windows(time: Floats, input_angle: Floats, torque: Floats, record: Integers)
     Parameters
     ----------
     time, input_angle, torque : ndarray, shape (n,)
-        [s]; continuous over the turns [rad]; [N m], or of any quantity that goes with it.
+        [s]; continuous over the turns [rad]; [N m], or any quantity proportional to torque.
     record : ndarray of int64, shape (n,)
         Number of the recording, ascending.
 
     Raises
     ------
     RecordError
-        Where stamps do not rise or nothing moves.
+        If stamps do not rise or the motion is too short.
     """
     step = np.diff(time)
     if not (step > 0.0).any():
@@ -120,7 +120,7 @@ def windows(time: Floats, input_angle: Floats, torque: Floats, record: Integers)
 
 
 def _parts(angle: Floats, begin: int, end: int) -> list[tuple[int, slice]]:
-    """First rows and rows of the windows of a motion in one direction."""
+    """First row and slice of rows of each window in a motion in one direction."""
     travel = np.maximum.accumulate(np.abs(angle[begin:end] - angle[begin])) / TURN
     count = int(travel[-1] / TURNS)
     edges = begin + np.searchsorted(travel, np.linspace(0.0, travel[-1], count + 1))
@@ -131,7 +131,7 @@ def _parts(angle: Floats, begin: int, end: int) -> list[tuple[int, slice]]:
 def _cells(
     time: Floats, angle: Floats, torque: Floats, speed: Floats
 ) -> tuple[Floats, Floats, Floats, float, float]:
-    """Angle, rest, weight of each cell of a window (c,), its mean speed, and the highest order it tells."""
+    """Angle, rest and weight of a window's cells (c,), its mean speed, and its highest resolved order."""
     way = np.abs(angle - angle[0])
     place, moment = _unit(np.maximum.accumulate(way)), _unit(time)
     basis = np.hstack((legendre.legvander(place, _DEGREE), legendre.legvander(moment, _DEGREE)[:, 1:]))
@@ -149,5 +149,5 @@ def _cells(
 
 
 def _unit(values: Floats) -> Floats:
-    """Rising values between -1 and 1."""
+    """Rising values (n,), scaled to the range from -1 to 1."""
     return np.asarray(2.0 * (values - values[0]) / (values[-1] - values[0]) - 1.0)
