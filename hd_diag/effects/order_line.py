@@ -1,4 +1,4 @@
-"""A wave at one order of the input's turn, without a known cause: described, so that a model can run it."""
+"""A wave at one order of the input's turn without a known cause, for use in an extended model."""
 
 from __future__ import annotations
 
@@ -38,4 +38,4 @@ ORDER_LINE = OrderLine(
     source="the residual's own spectrum over the input angle",
     inspect="What turns with this order: see what it might be. Record again, to see whether its phase stays.",
 )
-"""Terms of a model may hold several of them; no search names it."""
+"""A model may contain several terms of it; no search names it."""
