@@ -27,7 +27,7 @@ _KNOTS = 12  # knots of the piecewise linear amplitude and phase of an effect th
 
 
 class Stage(IntEnum):
-    """Where an effect enters the chain from torque over gear and spring to the samples, if anywhere."""
+    """Where an effect enters the chain from the torque through gear and spring to the samples."""
 
     NOWHERE = -1
     TORQUE = 0
@@ -99,7 +99,8 @@ class Effect:
     broadband : bool
         Whether it has no spectral line of its own. The noise is then estimated with its columns in the fit.
     searched : bool
-        Whether it is searched for in the residual. If not, it enters before or with every fit, or afterwards.
+        Whether it is searched for in the residual. Others are found before the fit, belong to every fit, or
+        are added after the search.
     given : bool
         Whether every fit contains it if the torque comes from motor current. Its prior is then centred on
         zero with its usual sizes, and it is never named as a cause.

@@ -22,7 +22,7 @@ TURN = 2.0 * math.pi
 _SPEED_STEP = 0.1  # share of the greatest speed; speeds closer than this count as one
 _DIGIT = 1e-9  # share of the rated torque; smaller changes are rounding
 _STILL = 1e-3  # [rad/s]; below this the input stands
-_LEAST_LOAD = 0.1  # share of the rated torque at which teeth surely bear, whatever its zero error
+_LEAST_LOAD = 0.1  # share of the rated torque at which teeth surely bear, whatever its zero's error
 
 
 def _verdict(possible: bool, extra: str) -> Verdict:

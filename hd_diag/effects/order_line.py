@@ -12,7 +12,7 @@ from hd_diag.formatting import ARCSEC
 
 
 class OrderLine(Effect):
-    """``a cos(k theta_in - d)``, or the same times ``T / T_rated``."""
+    """``a cos(k theta_in - d)``, or this wave times ``T / T_rated``."""
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Cosine and sine of the order; see :meth:`Effect.columns`."""

@@ -100,7 +100,7 @@ def _oscillator(nonlinear: Values) -> tuple[complex, complex]:
 
 
 def _passing(signals: Signals) -> Floats:
-    """Share of the gear's ripple that reaches the link (n,): near zero torque noise selects the flank."""
+    """Share of the gear's ripple that the torque passes on (n,); in the backlash noise selects the flank."""
     load = np.abs(signals.torque) / (_SLACK * signals.rated_torque)
     return np.asarray(load**4 / (1.0 + load**4))
 

@@ -14,7 +14,7 @@ from hd_diag.arrays import Floats, Integers
 from hd_diag.effects.contact_weights import ContactWeights, Rows
 
 MISSING_STEPS = 20.0
-"""Usual time steps between rows from which rows are missing between them. A few lost ones are no gap."""
+"""Gap between rows, in usual time steps, from which rows were left out. A few lost samples are no gap."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Rows of a second publisher: one value repeats between samples of a joint that moves elsewhere."""
+"""Rows of a second publisher: one value recurs between samples that stay on the joint's own path."""
 
 from __future__ import annotations
 
