@@ -1,4 +1,4 @@
-"""Arrays that took long to compute and may be needed again."""
+"""Cache of arrays that are slow to compute."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ Array = TypeVar("Array", bound=npt.NDArray[Any])
 
 
 class ArrayCache:
-    """Arrays by what they were computed of; the latest used, up to a number of bytes."""
+    """Cache that keeps the most recently used arrays, up to `most` bytes."""
 
     def __init__(self, most: int) -> None:
         self._most, self._size = most, 0
         self._arrays: dict[Hashable, Any] = {}
 
     def get(self, key: Hashable, compute: Callable[[], Array]) -> Array:
-        """The array of this key, computed where it is not there."""
+        """Array of this key, computed and stored if it is missing."""
         found: Array
         if key in self._arrays:
             self._arrays[key] = found = self._arrays.pop(key)

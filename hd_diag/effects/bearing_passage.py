@@ -1,4 +1,4 @@
-"""The wave generator bearing: orders of its cage and its balls, no whole numbers."""
+"""The wave generator bearing: orders of its cage and its balls, which are not whole numbers."""
 
 from __future__ import annotations
 
@@ -17,32 +17,32 @@ from hd_diag.effects.signals import Signals
 from hd_diag.formatting import ARCSEC
 
 BALLS = 23
-"""Balls of a wave generator's thin bearing that the bands are drawn for; those of others stay unexplained."""
+"""Assumed number of balls in the wave generator's thin bearing; lines of others stay unexplained."""
 
 CAGE = (0.40, 0.48)
-"""Turns of the cage per turn of the wave generator: half of one less ball over pitch diameter."""
+"""Turns of the cage per turn of the wave generator: ``(1 - ball diameter / pitch diameter) / 2``."""
 
 BANDS = (
     CAGE,
     (BALLS * CAGE[0], BALLS * CAGE[1]),
     (BALLS * (1.0 - CAGE[1]), BALLS * (1.0 - CAGE[0])),
 )
-"""Orders of the cage, of the balls over the outer and over the inner ring."""
+"""Ranges of the orders of the cage, of balls passing the outer ring, and of balls passing the inner ring."""
 
 _CANDIDATES = 4
-_HIGHEST, _LOWEST = 40.0, 0.2  # orders that are looked at
-_LEADING = 0.8  # of the strongest line, that a line which slips must have
-_LEAK = 0.1  # of a line, that may still show beside it where a candidate is allowed
+_HIGHEST, _LOWEST = 40.0, 0.2  # range of orders in the spectrum
+_LEADING = 0.8  # least strength of a line that slips, over the strongest line
+_LEAK = 0.1  # side lobe of a whole order, over its line, that a candidate tolerates
 
 
 class BearingPassage(Harmonic):
     """``a cos(kappa theta_W - d)``; a fit lets the phase slip, as rolling bearings do."""
 
     def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
-        """Strongest lines of a residual's order spectrum inside the bands; without one their middles.
+        """Strongest lines of a residual's order spectrum inside the bands; without one the bands' middles.
 
-        A line may slip only where no line elsewhere is as strong, even or in proportion to the torque: it
-        could follow what leaks from that, or its image where samples are too few.
+        A line may slip only if no line is clearly stronger, in the residual or in the residual times torque.
+        Otherwise it could follow leakage or aliases of the stronger line.
         """
         width = sum(high - low for low, high in BANDS)
         trials = 2 * max(len(BANDS), int(2.0 * width * input_turns(signals)))
@@ -62,7 +62,7 @@ class BearingPassage(Harmonic):
 
 
 def _allowed(order: Floats, signals: Signals) -> npt.NDArray[np.bool_]:
-    """Which orders are inside the bands, and no whole ones: those of the flexspline's teeth are below."""
+    """Which orders are in the bands and not near whole ones; those of the flexspline's teeth lie outside."""
     inside = np.any([(order >= low) & (order <= high) for low, high in BANDS], axis=0)
     reach = line_width(signals.wave_generator_angle, _LEAK)
     return np.asarray(inside & (np.abs(order - np.rint(order)) > reach))
@@ -78,7 +78,7 @@ EFFECT = BearingPassage(
     frame="input",
     needs=("wave_generator_angle",),
     angle="wave_generator_angle",
-    # Its orders stand close to whole ones: `starts` leaves out what a record cannot part from these.
+    # Its orders are close to whole numbers; `starts` leaves out those that a record cannot resolve.
     excitation=(partial(enough_input_turns, turns=10.0),),
     wanders_by="slips",
     quantities=(

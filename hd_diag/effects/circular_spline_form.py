@@ -1,4 +1,4 @@
-"""The circular spline is out of round: the effect of slots at other radii."""
+"""The circular spline is out of round: slots are displaced radially."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class CircularSplineForm(Effect):
         return harmonics(found)
 
     def step(self, state: Any, signals: Signals, coefficients: Floats, nonlinear: Values) -> Stepped:
-        """The slots displaced at their full size; see :meth:`Effect.step`."""
+        """Response to slots displaced at full size; see :meth:`Effect.step`."""
         cosine, sine = coefficients[::2], coefficients[1::2]
         # A cosine's integral is a sine over k.
         along = nonlinear[0] * np.stack((sine, -cosine), axis=1) / np.array(ORDERS)[:, None]

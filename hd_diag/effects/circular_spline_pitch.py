@@ -1,4 +1,4 @@
-"""Pitch error of the circular spline, cumulative, by harmonics, through the weights of the contact."""
+"""Cumulative pitch error of the circular spline, by harmonics, through the weights of the contact."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hd_diag.effects.excitation import enough_input_turns, torque_varies
 from hd_diag.effects.quantity import harmonic_sum, harmonics, lobes
 from hd_diag.effects.signals import Signals
 
-ORDERS = (1, 2, 3, 4, 5, 6, 7, 8)  # odd ones show where an eccentricity makes the lobes unequal
+ORDERS = (1, 2, 3, 4, 5, 6, 7, 8)  # odd ones show if an eccentricity makes the lobes unequal
 
 
 class CircularSplinePitch(Effect):
@@ -22,7 +22,7 @@ class CircularSplinePitch(Effect):
         return harmonics(signals.contact.harmonics("slot", ORDERS))
 
     def step(self, state: Any, signals: Signals, coefficients: Floats, nonlinear: Values) -> Stepped:
-        """The slots displaced at their full size; see :meth:`Effect.step`."""
+        """Response to slots displaced at full size; see :meth:`Effect.step`."""
         contact = signals.contact
         return contact.displaced(harmonic_sum(coefficients, ORDERS, contact.slot_angles)), state
 

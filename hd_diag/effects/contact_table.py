@@ -1,10 +1,10 @@
-"""What errors of single teeth do to the transmission error: the contact's weights, tabulated.
+"""Response of the transmission error to errors of single teeth, tabulated over angle and torque.
 
-A flank whose clearance grows by db turns the output by ``d beta / d b`` of it: its share of the torsional
-stiffness if it bears load, nothing otherwise. Pitch and form errors and single damaged teeth are sums of
-these shares, to first order. They are solved exactly on a grid of wave generator angles and torques; what
-turns with the wave generator is taken out, so that the tables are smooth. Errors of the slots, which stand
-still, can also be put into the contact at their full size.
+If the clearance of a flank grows by db, the output turns by ``d beta / d b`` times db. This derivative is the
+flank's share of the torsional stiffness if it bears load, and zero otherwise. To first order, pitch errors,
+form errors and single damaged teeth are sums of these shares. The shares are solved exactly on a grid of wave
+generator angles and torques. The phase that turns with the wave generator is removed, so that the tables are
+smooth. Errors of the slots, which stand still, can also be solved at full size.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from hd_diag.model.load_sharing import flank_stiffness, torsion_of_flanks
 from hd_diag.model.torsion import torsion, torsion_table
 from hd_diag.model.torsion_map import TorsionMap, build
 
-# Circumferential displacement of slots or of teeth, radial one of slots, clearance of all flanks.
+# Circumferential displacement of slots or of teeth, radial displacement of slots, clearance of all flanks.
 Error = Literal["slot", "tooth", "radial", "clearance"]
 
 Openings = tuple[float, float]
@@ -35,25 +35,25 @@ TORQUES = 24
 """Torques of the grid on each side of zero, closer near zero where few pairs bear."""
 
 MAP_STEPS = 8
-"""Of a map along a record, per tooth passing: 0.005 arcsec rms."""
+"""Steps per tooth passing of a torsion map along a record: 0.005 arcsec rms."""
 
 PHASES = 16
 """Phases of the flexspline under the wave generator, over half a turn."""
 
-# The shares step where a pair comes into load; errors of some um blur the steps anyway. In sections the steps
-# are smaller: at ratio 50 an error of 14.4 arcsec is off by 0.15 in five, by 0.31 in one with two steps.
+# The shares jump where a pair comes into load; errors of some um blur the jumps. Sections make them smaller:
+# at ratio 50 an error of 14.4 arcsec is off by 0.15 with five sections, by 0.31 with one and two steps.
 _STEPS_PER_SLOT, _IN_SECTIONS = 2, 1
-_IDLE = 1e-9  # share of the torque limit that stands for the limit towards zero torque from one side
-_SPARSE = 4  # angles of the grid at which teeth are displaced: what is beyond the first order is smooth
+_IDLE = 1e-9  # share of the torque limit that represents zero torque, approached from one side
+_SPARSE = 4  # grid steps between angles with displaced teeth: the part beyond first order is smooth
 _MOST_KEPT = 24 << 20  # bytes
-_BEYOND = 1.2  # of the torque limit
-_FAR_BEYOND = (3.6, 11.0)  # of it, that a cause beside the measured torque may reach
+_BEYOND = 1.2  # range of the first torsion map and of the mean torsion, over the torque limit
+_FAR_BEYOND = (3.6, 11.0)  # ranges of wider maps, for torque that causes add to the measured torque
 _MEAN_TORQUES, _MEAN_ANGLES = 401, 101
-_FEW_SLOTS = 16  # around the gear, that stand for all
+_FEW_SLOTS = 16  # slots around the gear that represent all
 
 
 class ContactTable:
-    """Shares of all flanks over one turn of the wave generator and torque; computed when first needed.
+    """Shares of all flanks over one turn of the wave generator and over torque, computed when needed.
 
     Parameters
     ----------
@@ -64,12 +64,12 @@ class ContactTable:
     Attributes
     ----------
     steps, per_slot : int
-        Of the grid of angles, whose nodes are from 0 to 2 pi, both included; `per_slot` of them a slot.
+        Steps of the grid of angles from 0 to 2 pi, both included, in all and per slot.
 
     Raises
     ------
     ValueError
-        If the torque limit is not positive; when shares are needed: if the teeth cannot bear it.
+        If the torque limit is not positive. When shares are computed, if the teeth cannot bear it.
     """
 
     def __init__(self, drive: Drive, torque_limit: float) -> None:
@@ -84,9 +84,9 @@ class ContactTable:
         self._maps: dict[float, TorsionMap | None] = {}
 
     def torsion_under(self, wave_generator_angle: Floats, cup_torque: Floats) -> Floats:
-        """Of the mesh without errors (n,) [rad], by the map of the least reach for each torque (n,) [N m].
+        """Torsion without tooth errors (n,) [rad], by the narrowest map that covers each torque (n,) [N m].
 
-        Torques beyond them all, or that the teeth cannot bear everywhere, are solved exactly.
+        Torques beyond all maps, or in a range that the teeth cannot bear, are solved exactly.
         """
         beta, size = np.full(cup_torque.size, np.nan), np.abs(cup_torque) / self.torque_limit
         for reach in (_BEYOND, *_FAR_BEYOND):
@@ -98,9 +98,9 @@ class ContactTable:
         return beta
 
     def _torsion_map(self, reach: float) -> TorsionMap | None:
-        """Map for torques up to some limits, None where the teeth cannot bear that.
+        """Torsion map up to `reach` torque limits; None if the teeth cannot bear that.
 
-        Where teeth enter by their corners the torsion jumps at some angle: here it does so within a step.
+        The torsion may jump where teeth enter by their corners. Such a jump spreads over one step of the map.
         """
         if reach not in self._maps:
             try:
@@ -112,7 +112,7 @@ class ContactTable:
 
     @cached_property
     def mean_torsion(self) -> tuple[Floats, Floats]:
-        """Torques on the cup [N m], rising, and the torsion's mean over a turn there [rad]."""
+        """Rising torques on the cup [N m], and the mean torsion over a turn at each [rad]."""
         share = np.linspace(-1.0, 1.0, _MEAN_TORQUES)
         torque = _BEYOND * self.torque_limit * np.sign(share) * share**2
         turn = np.linspace(0.0, 2.0 * np.pi, _MEAN_ANGLES, endpoint=False)
@@ -120,19 +120,19 @@ class ContactTable:
 
     @cached_property
     def contact(self) -> Contact:
-        """At every angle of the grid."""
+        """Contact at every angle of the grid."""
         return contacts(self.drive.mesh, self._angle, compiled=True)
 
     @cached_property
     def torque_nodes(self) -> Floats:
-        """Torques on the cup of the rows [N m]; zero twice: from below and from above."""
+        """Torques on the cup of the rows [N m]; zero occurs twice, approached from below and above."""
         positive = self.torque_limit * (np.arange(TORQUES + 1) / TORQUES) ** 2
         positive[0] = _IDLE * self.torque_limit
         return np.concatenate((-positive[::-1], positive))
 
     @cached_property
     def torsion(self) -> Floats:
-        """Beta at the torques and angles of the grid [rad], shape (torques, angles)."""
+        """Torsion beta at the torques and angles of the grid [rad], shape (torques, angles)."""
         beta = self._torsion(self.contact.rotation, self._stiffness)
         if np.isnan(beta).any():
             raise ValueError(f"the teeth cannot bear {self.torque_limit:g} N m at every wave generator angle")
@@ -140,9 +140,9 @@ class ContactTable:
 
     @cached_property
     def mean_slot(self) -> Floats:
-        """Of slot 0, in the mean over slots all around, which an eccentricity makes differ [rad/m].
+        """Mean response of slots around the gear, each turned to slot 0 [rad/m].
 
-        As `one_slot`, without the last angle: shape (2, torques, angles - 1).
+        An eccentricity makes slots differ. As `one_slot` without the last angle: (2, torques, angles - 1).
         """
         count = self.drive.mesh.geometry.circular_spline_teeth
         slots = np.linspace(0, count, _FEW_SLOTS, endpoint=False).astype(np.int64)
@@ -152,30 +152,29 @@ class ContactTable:
     def harmonics(self, error: Error, orders: tuple[int, ...]) -> Complexes:
         """Responses to ``Re(A exp(i k phi))`` over ``A exp(i k theta)`` [rad/m], (torques, angles, orders).
 
-        theta is the wave generator's angle as the slots, or the teeth, see it.
+        theta is the wave generator's angle seen from the slots, or from the teeth if these have the error.
         """
         return self._kept.get((error, orders), lambda: self._harmonics(error, np.array(orders)))
 
     def one_slot(self, slot: int, opening: Openings = NO_OPENING) -> Floats:
         """Response to more clearance on the flanks (+, -) of one slot [rad/m]; (torques, angles, 2).
 
-        At an opening [m] of the flanks it is the mean slope from none to that opening.
+        `opening` is the clearance added to the flanks [m]; the response is the mean slope from zero to it.
         """
         return self._kept.get(("one slot", slot, opening), lambda: self._one_slot(slot, opening))
 
     def displaced(self, errors: Floats) -> Floats:
-        """Turn of the cup when the slots have errors of full size [rad], shape (torques, angles).
+        """Rotation of the cup by slot errors at full size [rad], shape (torques, angles).
 
-        Errors (4, Z_G) are circumferential, radial, clearance of the + and of the - flank [m].
+        Errors (4, Z_G) are circumferential, radial, clearance of the + flank and of the - flank [m].
         """
         return self._kept.get(errors.tobytes(), lambda: self._displaced(*errors))
 
     def teeth_beyond(self, orders: tuple[int, ...], coefficients: tuple[float, ...]) -> Floats:
-        """What errors of the flexspline's teeth do at their size beyond their first order [rad].
+        """Torsion by errors of the flexspline's teeth at full size, less the first order [rad].
 
-        They are waves of an even number of periods around, each with a cosine and a sine coefficient [m].
-
-        Shape (PHASES, torques, angles): at phases ``pi n / PHASES`` of the flexspline's turn under
+        The errors are waves with even numbers of periods around, each with a cosine and a sine coefficient
+        [m]. Shape (PHASES, torques, angles): at phases ``pi n / PHASES`` of the flexspline's turn under
         the wave generator.
         """
         return self._kept.get(
@@ -185,14 +184,14 @@ class ContactTable:
     def one_tooth(
         self, torque_rows: Neighbours, angle_rows: Neighbours, tooth: Integers, opening: Openings = NO_OPENING
     ) -> Floats:
-        """As `one_slot`, for teeth (n,) of the flexspline at places between rows of the grid; (2, n)."""
+        """As `one_slot`, for teeth (n,) of the flexspline, interpolated between rows of the grid; (2, n)."""
         teeth, half = self.contact.teeth, self.contact.teeth.shape[1] // 2
         count, found = self.drive.mesh.geometry.flexspline_teeth, np.zeros((2, tooth.size))
         for angle_row, angle_share in angle_rows:
             first, second = (np.mod(tooth - teeth[:, lobe].take(angle_row), count) for lobe in (0, half))
             near = np.flatnonzero(
                 (first < self._pairs) | (second < self._pairs)
-            )  # at a lobe: elsewhere it does nothing
+            )  # only teeth at a lobe respond
             column = np.where(first[near] < self._pairs, first[near], half + second[near])
             angle, share = angle_row[near], angle_share[near]
             for torque_row, torque_share in torque_rows:
@@ -205,7 +204,7 @@ class ContactTable:
     def _one_slot(self, slot: int, opening: Openings) -> Floats:
         angle, pair = np.nonzero(self.contact.slots == slot)
         found, there = np.zeros((*self.torsion.shape, 2)), np.s_[:, angle]
-        for flank in (0, 1):  # a slot is at one lobe at a time, there in every section
+        for flank in (0, 1):  # a slot meets one lobe at a time, in every section
             slope = self._slope(np.s_[:], angle, flank, pair, opening[flank])
             np.add.at(found[..., flank], there, slope)  # type: ignore[arg-type]
         return found
@@ -213,13 +212,13 @@ class ContactTable:
     def _slope(
         self, torque_row: Integers | slice, angle_row: Integers, flank: int, pair: Integers, opening: float
     ) -> Floats:
-        """Mean response of a flank from no opening to one [rad/m].
+        """Mean response of a flank from zero opening to `opening` [rad/m].
 
-        The pair parts where the opening has used up its overlap: there the others bear all of the load, and
-        the cup turns no further.
+        The pair parts when the opening exceeds its overlap. Beyond that the other pairs bear all of the load,
+        and the cup turns no further.
         """
         rotation, stiffness, radius = self._rotation, self._stiffness, self._radius
-        at = (angle_row * 2 + flank) * rotation.shape[2] + pair  # one index is several times as fast
+        at = (angle_row * 2 + flank) * rotation.shape[2] + pair  # one flat index is several times as fast
         if isinstance(torque_row, slice):
             torsion, bearing = self.torsion[torque_row, angle_row], self._bearing[torque_row, angle_row]
         else:
@@ -234,10 +233,10 @@ class ContactTable:
         return np.asarray(slope * np.minimum(1.0, parted / opening))
 
     def _harmonics(self, error: Error, orders: Integers) -> Complexes:
-        """As `harmonics`.
+        """As `harmonics`, not cached.
 
-        A slot that moves outward opens both flanks (db) and moves their contacts, which changes how stiff
-        they are (dk): ``K d beta`` is the sum of ``k db - overlap dk`` over the loaded flanks.
+        A slot that moves outward opens both flanks (db) and moves their contacts, which changes their
+        stiffness (dk): ``K d beta`` is the sum of ``k db - overlap dk`` over the loaded flanks.
         """
         angle = self._tooth_angle if error == "tooth" else self._slot_angle
         if error == "radial":
@@ -249,7 +248,7 @@ class ContactTable:
         return self._summed(sign / self._radius, angle, orders)
 
     def _summed(self, weight: Floats, angle: Floats, orders: Integers) -> Complexes:
-        """Shares of all flanks times weights (angles, 2, pairs) and waves, summed; (torques, angles, k)."""
+        """Sum over all flanks of share, weight (angles, 2, pairs) and wave; (torques, angles, k)."""
         found = np.empty((*self.torsion.shape, orders.size), dtype=np.complex128)
         for index, turned in enumerate(orders[:, None, None, None] * angle[:, None, :]):
             found[..., index].real = self._borne(weight * np.cos(turned))
@@ -265,9 +264,9 @@ class ContactTable:
 
     @cached_property
     def _begin(self) -> tuple[Integers, int]:
-        """For each flank the first torque node where it carries load as the torque rises (+) or falls (-).
+        """First torque node at which each flank bears load, as the torque rises (+) or falls (-).
 
-        As one index into an array (side, node, angle), flank after flank, with the number of nodes; the last
+        Flat indices into an array (side, node, angle), flank after flank, and the number of nodes. The last
         node is for flanks that never bear.
         """
         nodes, angles = self.torque_nodes.size + 1, self._angle.size
@@ -278,7 +277,7 @@ class ContactTable:
 
     @cached_property
     def _bearing(self) -> Floats:
-        """Stiffness of all flanks that bear [N m/rad], (torques, angles)."""
+        """Total stiffness of the flanks that bear [N m/rad], (torques, angles)."""
         return self._borne(np.ones(self._stiffness.shape))
 
     def _displaced(self, circumferential: Floats, radial: Floats, *clearance: Floats) -> Floats:
@@ -309,12 +308,12 @@ class ContactTable:
         return np.asarray(table[..., low] + (place - low) * (table[..., low + 1] - table[..., low]))
 
     def _torsion(self, rotation: Floats, stiffness: Floats) -> Floats:
-        """Of flanks with some closing rotations and stiffnesses [rad], shape (torques, angles)."""
+        """Torsion of flanks with given closing rotations and stiffnesses [rad], (torques, angles)."""
         return torsion_of_flanks(rotation, stiffness, self.torque_nodes).T
 
     @property
     def _pairs(self) -> int:
-        """Columns of a lobe in one section."""
+        """Number of columns per lobe and section."""
         return int(self.contact.teeth.shape[1]) // (2 * self.drive.mesh.geometry.sections)
 
     @cached_property
@@ -323,7 +322,7 @@ class ContactTable:
 
     @cached_property
     def _rotation(self) -> Floats:
-        """As of the contact; infinite where a flank cannot touch."""
+        """Closing rotation of each flank [rad]; infinite where a flank cannot touch."""
         return np.nan_to_num(self.contact.rotation, nan=np.inf)
 
     @cached_property
@@ -336,12 +335,12 @@ class ContactTable:
 
     @cached_property
     def _slot_angle(self) -> Floats:
-        """Of the slots, seen from the wave generator [rad]; shape (angles, pairs)."""
+        """Angles of the slots, seen from the wave generator [rad]; shape (angles, pairs)."""
         return self.contact.slots * self.drive.mesh.geometry.slot_pitch - self._angle[:, None]
 
     @cached_property
     def _tooth_angle(self) -> Floats:
-        """Of the teeth along the flexspline, seen from the wave generator [rad]; shape (angles, pairs)."""
+        """Angles of the teeth along the flexspline, from the wave generator [rad]; (angles, pairs)."""
         geometry = self.drive.mesh.geometry
         turned = self._angle * (1.0 + 1.0 / geometry.reduction)
         return self.contact.teeth * geometry.tooth_pitch - turned[:, None]
@@ -349,5 +348,5 @@ class ContactTable:
 
 @lru_cache(maxsize=2)  # 20 MB each
 def contact_table(drive: Drive, torque_limit: float) -> ContactTable:
-    """Table of a drive up to a torque [N m], the latest kept."""
+    """Table of a drive up to a torque [N m]; the two latest are cached."""
     return ContactTable(drive, torque_limit)

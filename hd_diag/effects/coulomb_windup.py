@@ -1,4 +1,4 @@
-"""Dry friction behind the gear: torque that the mesh bears against the motion, more at the slowest speeds."""
+"""Dry friction behind the gear: torque in the mesh that opposes the motion, and grows at low speed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.recursions import lag
 from hd_diag.effects.signals import Signals
 
-# Time [s] and input angle [rad] of the last sample, None before the first; z.
+# Time [s] and input angle [rad] of the last sample, None before the first; state z of the bristle.
 State = tuple[tuple[float, float] | None, float]
 
 
@@ -29,7 +29,7 @@ class CoulombWindup(MeshTorque):
         return None, 0.0
 
     def torque_step(self, state: State, signals: Signals, nonlinear: Values) -> Stepped:
-        """Let the bristle follow, exactly while the speed is even; see :meth:`MeshTorque.torque_step`."""
+        """Advance the bristle, exactly for constant speed; see :meth:`MeshTorque.torque_step`."""
         way, creep, share, slow = nonlinear
         if not signals.size:
             return np.empty((0, 1)), state
@@ -69,7 +69,7 @@ EFFECT = CoulombWindup(
             "omega_0, of the input; 0: kept at rest",
             linear=False,
             shape=True,
-            most=0.3,  # letting go at once, z is another function of the speed
+            most=0.3,  # with faster creep, z is only a function of the speed
         ),
         Quantity(
             "stribeck",
@@ -80,7 +80,7 @@ EFFECT = CoulombWindup(
             "b, share of it that is more at low speed",
             linear=False,
             shape=True,
-            most=1.0,  # chosen: at rest hardly more than twice the friction
+            most=1.0,  # chosen: at rest not more than twice the friction
         ),
         Quantity(
             "stribeck_speed", "rad/s", 0.5, 20.0, 5.0, "omega_s, of the input", linear=False, shape=True

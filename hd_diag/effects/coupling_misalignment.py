@@ -13,7 +13,7 @@ from hd_diag.effects.quantity import Quantity, direction, switch
 from hd_diag.effects.signals import Signals
 
 _STILL = 0.1  # speed of the input at which play changes its side [rad/s]
-_MOST_PLAY = 6.5e-4  # [rad]; dry friction looks like play: more than a coupling has is not taken for it
+_MOST_PLAY = 6.5e-4  # [rad]; a coupling has no more, but dry friction imitates play
 
 
 class CouplingMisalignment(Effect):
@@ -23,7 +23,7 @@ class CouplingMisalignment(Effect):
     """
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
-        """Twice per input turn, and by its direction; see :meth:`Effect.columns`."""
+        """Waves twice per input turn, and play by the input's direction; see :meth:`Effect.columns`."""
         twice = 2.0 * signals.input_angle
         way = nonlinear[0] * np.tanh(signals.speed / _STILL)
         return np.stack((np.sin(twice), -np.cos(twice), -2.0 * way), axis=1) / (4.0 * signals.ratio)

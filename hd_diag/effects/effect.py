@@ -1,4 +1,4 @@
-"""What every effect declares as data and can compute."""
+"""Base class of the effects: what each declares as data and what it computes."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ Values = tuple[float, ...]
 Kind = Literal["kinematic", "torsion", "friction", "sensor"]
 Frame = Literal["input", "output", "housing", "time", "torque"]
 
-# What an effect gives at n samples, and its state after the last one.
+# Values of an effect at n samples, and its state after the last one.
 Stepped = tuple[Floats, Any]
 
-_OF_TEETH, _FREE = 3.0, 1e3  # times the usual size, to which errors of teeth, and all others, are drawn
-_KNOTS = 12  # of the piecewise linear amplitude and phase of an effect that wanders over a record
+_OF_TEETH, _FREE = 3.0, 1e3  # prior deviation over the usual size: of errors of teeth, of all others
+_KNOTS = 12  # knots of the piecewise linear amplitude and phase of an effect that wanders
 
 
 class Stage(IntEnum):
-    """Where an effect enters, on the way from the torque over the gear to the samples."""
+    """Where an effect enters the chain from the torque through gear and spring to the samples."""
 
     NOWHERE = -1
     TORQUE = 0
@@ -37,14 +37,14 @@ class Stage(IntEnum):
 
 
 class Starts(NamedTuple):
-    """Start values of the nonlinear quantities, and how many independent values were compared for them."""
+    """Start values of the nonlinear quantities, and the number of independent values that were compared."""
 
     points: list[Values]
     trials: int
 
     @staticmethod
     def grid(points: Iterable[Values]) -> Starts:
-        """Points that are each compared."""
+        """Start points that each count as one trial."""
         every = list(points)
         return Starts(every, len(every))
 
@@ -53,8 +53,8 @@ class Starts(NamedTuple):
 class Effect:
     """A physical cause of transmission error that the model leaves out.
 
-    An effect without memory writes `columns`, one that depends on earlier samples `advance`; one that is not
-    proportional to its coefficients writes `step` as well. Everything else that a fit needs to know is data.
+    An effect without memory implements `columns`, one that depends on earlier samples `advance`. If it is not
+    proportional to its coefficients, it implements `step` as well. Everything else that a fit needs is data.
 
     Parameters
     ----------
@@ -64,49 +64,50 @@ class Effect:
         One sentence.
     kind : {"kinematic", "torsion", "friction", "sensor"}
     frame : {"input", "output", "housing", "time", "torque"}
-        What it is fixed to or follows.
+        What the effect is fixed to or follows.
     needs : tuple of str
-        Names of the signals that it is computed from. Where neither the prediction nor the contact
-        (`of_teeth`) is among them, a fit keeps its columns when the model's parameters change.
+        Names of the signals that the effect is computed from. If it uses neither the prediction nor the
+        contact (`of_teeth`), its columns stay cached when the model's parameters change.
     quantities : tuple of Quantity
         Linear ones first.
     confused_with : tuple of str
-        Effects that short or poor records cannot tell from it.
+        Effects that short or poor records cannot distinguish from it.
     source : str
         Reference.
     inspect : str
-        What to look at first, what it should measure, which test would confirm.
+        What to look at first, what to measure there, which test would confirm.
     always_confused : tuple of str
-        Effects, or parameters of the model, that no record can tell from it.
+        Effects, or parameters of the model, that no record can distinguish from it.
     formula : str
-        What it adds to the transmission error; if empty, the class says it.
+        What it adds to the transmission error; if empty, the docstring of its class is taken.
     excitation : tuple of callable
-        Checks of :mod:`hd_diag.effects.excitation` that a record's motion must pass to show it.
+        Checks of :mod:`hd_diag.effects.excitation`. The effect is testable if the motion passes them all.
     grid : tuple of tuple of float
-        Start values of the nonlinear quantities, where the record does not give better ones.
+        Start values of the nonlinear quantities, used if the record gives no better ones.
     stage : Stage
-        Where it enters; effects of later stages see what those of earlier ones add.
+        Where it enters. Effects of later stages see what earlier ones add.
     of_teeth : bool
-        Whether it enters through the contact: then it is part of the gear's ripple, for later stages.
+        Whether it acts through the tooth contact. Later stages then see it as part of the gear's ripple.
     remembers : bool
-        Whether it depends on earlier samples: then it has to see all rows, also those that no fit uses.
+        Whether it depends on earlier samples. It is then computed on all rows, also on those not fitted.
     proportional : bool
-        Whether `step` gives its columns times its coefficients.
+        Whether `step` returns the columns times the coefficients.
     own_slopes : bool
-        Whether its columns change with its size, see `slopes`.
+        Whether its columns change with its size; see `slopes`.
     wanders_by : str
-        Discrete quantity that, at 1, lets amplitude and phase wander over the record; "" for none.
+        Name of the discrete quantity that, at 1, lets amplitude and phase wander over the record; or "".
     broadband : bool
-        Whether it has no line of its own: the noise is learnt beside its columns.
+        Whether it has no spectral line of its own. The noise is then estimated with its columns in the fit.
     searched : bool
-        Whether it is searched for in the residual; others are found before the fit.
+        Whether it is searched for in the residual. Others are found before the fit, belong to every fit, or
+        are added after the search.
     given : bool
-        Whether it is part of every fit to a torque that comes from motor current, drawn to zero by its usual
-        sizes, and is never named as a cause.
+        Whether every fit contains it if the torque comes from motor current. Its prior is then centred on
+        zero with its usual sizes, and it is never named as a cause.
     lasting : bool
-        Whether a model that runs can hold it; not what happened once in a record.
+        Whether an extended model may contain it. False for what happened once in a record.
     standard : bool
-        Whether its coefficients are standard normal before anything is measured; see
+        Whether its coefficients have a standard normal prior; see
         :mod:`hd_diag.effects.remainders`.
     """
 
@@ -136,9 +137,9 @@ class Effect:
     standard: bool = False
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
-        """Transmission error by each linear coefficient, at small size [rad per unit], shape (n, size).
+        """Derivatives of the transmission error by the coefficients at small size [rad per unit], (n, size).
 
-        `nonlinear` are the values of the nonlinear quantities. Every run begins from its start.
+        `nonlinear` holds the values of the nonlinear quantities. Every run begins from its start state.
         """
         if not self.remembers:
             raise NotImplementedError
@@ -158,34 +159,34 @@ class Effect:
         return np.asarray(columns @ coefficients), state
 
     def slopes(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
-        """Columns that hold at a size, where they change with it (`own_slopes`)."""
+        """Columns at given coefficients, for effects whose columns change with size (`own_slopes`)."""
         return self.columns(signals, nonlinear)
 
     def shown(self, signals: Signals, columns: Floats, nonlinear: Values) -> Floats:
-        """Columns (n, k) that a record shows, where its samples are too far apart for some of them.
+        """Columns (n, k) with zeros where samples are too far apart to resolve a wave.
 
-        What they make of a wave is an image, which anything slow may look like.
+        There the wave is aliased and could imitate anything slow. Unchanged unless overridden.
         """
         return columns
 
     def carry(self, signals: Signals, added: Floats, coefficients: Floats, nonlinear: Values) -> Floats:
-        """What it makes of what earlier stages add, beside that itself; nothing unless stated.
+        """Change that the effect makes to the parts that earlier stages add; zero unless overridden.
 
-        `added` are parts of the transmission error, shape (n, k), and so is the result [rad].
+        `added` holds parts of the transmission error [rad], shape (n, k), and so does the result.
         """
         return np.zeros_like(added)
 
     def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
-        """Start values of the nonlinear quantities: a grid, or those that fit a residual [rad], (n,)."""
+        """Start values of the nonlinear quantities: a grid, or values that fit a residual (n,) [rad]."""
         return Starts.grid(self.grid)
 
     def testable(self, signals: Signals) -> Verdict:
-        """Whether the record's motion allows to find it; if not, the shortest extra motion that would."""
+        """Whether the record's motion can show the effect; if not, the shortest extra motion that would."""
         verdicts = (check(signals) for check in self.excitation)
         return next((verdict for verdict in verdicts if not verdict[0]), (True, ""))
 
     def response(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
-        """Transmission error of the effect at its size along a record [rad], shape (n,)."""
+        """Transmission error of the effect at full size along a record [rad], shape (n,)."""
         if self.proportional:
             return np.asarray(self.columns(signals, nonlinear) @ coefficients)
         if not self.remembers:
@@ -193,9 +194,9 @@ class Effect:
         return by_run(signals, lambda run: self.step(self.start(nonlinear), run, coefficients, nonlinear)[0])
 
     def wandering(self, signals: Signals, nonlinear: Values) -> Floats:
-        """Columns that let it wander over a record, in addition to its own, shape (n, k).
+        """Additional columns (n, k) that let amplitude and phase wander over a record; k may be 0.
 
-        They are fitted with it, and are no part of a model that runs: nothing predicts them.
+        They are fitted with the effect. A running model omits them, because nothing predicts them.
         """
         if not self.wanders(nonlinear) or signals.size < 2:
             return np.empty((signals.size, 0))
@@ -210,24 +211,24 @@ class Effect:
         return np.asarray((hats[:, :, None] * own[:, None, :]).reshape(signals.size, -1))
 
     def wanders(self, nonlinear: Values) -> bool:
-        """Whether it wanders over a record at these values."""
+        """Whether the effect wanders over a record at these values."""
         names = [quantity.name for quantity in self.nonlinear]
         return bool(self.wanders_by and nonlinear[names.index(self.wanders_by)])
 
     def sensible(self, coefficients: Floats, nonlinear: Values) -> bool:
-        """Whether all strict limits hold; a candidate beyond them is another cause."""
+        """Whether all strict limits hold; a candidate outside them imitates another cause."""
         strict = [quantity for quantity in self.quantities if quantity.strict]
         values = self.to_physical(coefficients, nonlinear) if strict else {}
         return all(quantity.allows(values[quantity.name][0]) for quantity in strict)
 
     @property
     def linear(self) -> tuple[Quantity, ...]:
-        """Quantities behind the coefficients, one each."""
+        """Linear quantities, one for each coefficient."""
         return tuple(quantity for quantity in self.quantities if quantity.linear)
 
     @property
     def nonlinear(self) -> tuple[Quantity, ...]:
-        """The other quantities."""
+        """Nonlinear quantities."""
         return tuple(quantity for quantity in self.quantities if not quantity.linear)
 
     @property
@@ -244,16 +245,16 @@ class Effect:
 
     @property
     def reach(self) -> Floats:
-        """Deviation of every coefficient before anything is measured, in a fit, shape (size,).
+        """Prior standard deviation of every coefficient in a fit, shape (size,).
 
-        Most are as good as free: columns of hardly any row must not grow without end.
+        Most are very wide. They only bound coefficients whose columns are zero in nearly all rows.
         """
         return self.usual * (1.0 if self.given else _OF_TEETH if self.of_teeth else _FREE)
 
     def to_physical(
         self, coefficients: Sequence[float] | Floats, nonlinear: Values
     ) -> dict[str, tuple[float, str]]:
-        """Values as people read them: name to (value, unit), in the order of the quantities."""
+        """Physical values: name to (value, unit), in the order of the quantities."""
         values = dict(zip((quantity.name for quantity in self.linear), map(float, coefficients), strict=True))
         for size, turned in self._pairs():
             cosine, sine = values[size.name], values[turned.name]
@@ -265,12 +266,12 @@ class Effect:
         return {quantity.name: (values[quantity.name], quantity.unit) for quantity in self.quantities}
 
     def from_physical(self, values: Mapping[str, float]) -> tuple[Floats, Values]:
-        """Coefficients and nonlinear values from what people write.
+        """Coefficients and nonlinear values from physical values by name.
 
         Raises
         ------
         ValueError
-            Naming a quantity that is missing, unknown or outside its limits.
+            If a quantity is missing, unknown or outside its limits; the message names it.
         """
         names = [quantity.name for quantity in self.quantities]
         if wrong := sorted(set(names) ^ set(values)):
@@ -295,8 +296,8 @@ class Effect:
     ) -> dict[str, float]:
         """Standard deviations of the quantities by name, by propagation (delta method).
 
-        The covariance is that of the coefficients, or of these and the nonlinear quantities after them; of
-        quantities that it leaves out the deviation is zero.
+        The covariance is that of the coefficients, or of the coefficients followed by the nonlinear
+        quantities. Quantities that it leaves out get the deviation zero.
         """
         known = covariance.shape[0]
         gradient = np.eye(len(self.quantities), known)
@@ -327,10 +328,10 @@ def by_run(signals: Signals, evaluate: Callable[[Signals], Floats]) -> Floats:
 def seen_at(
     stage: Stage, signals: Signals, parts: Sequence[tuple[Effect, Floats]], rate: Callable[[Floats], Floats]
 ) -> Signals:
-    """Signals for the effects of a stage: the spring carries errors of the teeth, a late stream shows all.
+    """Signals as effects of a stage see them: tooth errors for the spring, all earlier effects for a stream.
 
-    From those with the base model's own prediction and what effects add [rad] (n,) each. Effects of the same
-    and later stages do not count; the rate is the derivative by time of values at the samples.
+    `signals` has the base model's own prediction; `parts` are effects with what each adds (n,) [rad]. Effects
+    of the same and later stages are ignored. `rate` is the time derivative of values at the samples.
     """
     before = [(effect, part) for effect, part in parts if Stage.GEAR <= effect.stage < stage]
     if stage == Stage.SPRING:

@@ -19,8 +19,8 @@ from hd_diag.formatting import ARCSEC
 
 _USUAL = (4, 5, 8, 12, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096)
 _CANDIDATES = 4
-_ROUND = 2**12 * 3**6 * 5**4  # divisible by every number up to 4096 without other prime factors
-_ABOVE_MESH = 8  # first order beyond those that two eccentric lobes give under load
+_ROUND = 2**12 * 3**6 * 5**4  # products of 2, 3 and 5 up to 4096 divide it, except for 2187 and 3125
+_ABOVE_MESH = 8  # lowest order above those of two eccentric lobes under load
 _SLOW = 0.25  # share of the moving samples that must be slow enough
 
 
@@ -28,8 +28,8 @@ _SLOW = 0.25  # share of the moving samples that must be slow enough
 class EncoderInterpolation(Harmonic):
     """The encoder reads ``a cos(L theta - d) + b cos(2 L theta - e)`` too far.
 
-    It has from `least` to `most` lines per turn, a `multiple` of some number; if that is not 1, without other
-    prime factors than 2, 3 and 5, as circles are divided.
+    Its number of lines per turn L is from `least` to `most`, and a multiple of `multiple`. If `multiple` is
+    not 1, L has only the prime factors 2, 3 and 5, as circles are divided.
     """
 
     least: int
@@ -38,10 +38,10 @@ class EncoderInterpolation(Harmonic):
     orders: tuple[float, ...] = (1.0, 2.0)
 
     def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
-        """Strongest whole orders of a residual over the angle; without one the usual line numbers."""
+        """Strongest whole orders of a residual over the angle; without a residual, usual line numbers."""
         least, highest = self.least, self.highest(signals)
         if self.angle == "input_angle" and not torque_known(signals)[0]:
-            least = _ABOVE_MESH  # under a load that is not known, the gear's own orders look like lines
+            least = _ABOVE_MESH  # if the load is unknown, the gear's own orders look like lines
         trials = max(1, highest - least + 1)
         if residual is None:
             return Starts([(float(lines),) for lines in _USUAL if least <= lines <= highest], trials)
@@ -53,12 +53,12 @@ class EncoderInterpolation(Harmonic):
         return Starts([(float(order),) for order in best], trials)
 
     def shown(self, signals: Signals, columns: Floats, nonlinear: Values) -> Floats:
-        """Columns (n, k), zero where a wave has fewer than two samples; see :meth:`Effect.shown`."""
+        """Columns (n, k), zero where a period has fewer than two samples; see :meth:`Effect.shown`."""
         lines = np.repeat(self.orders, 2) * nonlinear[0]
         return columns * (self._phase_step(signals)[:, None] * lines < np.pi)
 
     def _strength(self, signals: Signals, residual: Floats, highest: int) -> Floats:
-        """Of the whole orders from zero on [rad], each by the samples that show it, octave by octave."""
+        """Amplitudes of the whole orders 0 to `highest` [rad], by the samples that resolve each octave."""
         angle, step = getattr(signals, self.angle), self._phase_step(signals)
         strength, high = np.zeros(highest + 1), highest
         while high:
@@ -71,27 +71,27 @@ class EncoderInterpolation(Harmonic):
         return strength
 
     def _phase_step(self, signals: Signals) -> Floats:
-        """How far the angle turns from sample to sample (n,) [rad]."""
+        """Change of the angle between samples (n,) [rad]."""
         return np.asarray(np.abs(signals.speed) * (sample_interval(signals) / self._gear(signals)))
 
     def _lines(self, signals: Signals, strength: Floats) -> list[int]:
         """Orders that can be lines, the strongest first, without the side lobes of stronger orders.
 
-        A whole order of the input's turn is the gear's own or the input encoder's.
+        At the output, whole orders of the input's turn are left out: they are the gear's or input encoder's.
         """
         order, gear = np.arange(strength.size), self._gear(signals)
         can = self.divides(order) & ((gear == 1.0) | (order % gear != 0.0))
         return [int(one) for one in peaks(strength, self.multiple - 1) if can[one]]
 
     def divides(self, number: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
-        """Whether circles are divided by numbers, shape (n,)."""
+        """Whether an encoder's circle may be divided by each number, shape (n,)."""
         divided = number % self.multiple == 0
         if self.multiple > 1:
             divided &= is_round(number)
         return np.asarray(divided, np.bool_)
 
     def testable(self, signals: Signals) -> Verdict:
-        """As other effects, and whether the least number of lines does not alias."""
+        """As :meth:`Effect.testable`, and whether the least number of lines does not alias."""
         if self.highest(signals) >= self.least:
             return super().testable(signals)
         limit = np.pi / (self.least * sample_interval(signals)) * self._gear(signals)
@@ -112,12 +112,12 @@ class EncoderInterpolation(Harmonic):
 
 
 def is_round(number: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
-    """Whether numbers (n,) have no other prime factors than 2, 3 and 5, by which circles are divided."""
+    """Whether numbers (n,) divide `_ROUND`: their only prime factors are 2, 3 and 5."""
     return np.asarray(_ROUND % np.maximum(number, 1) == 0)
 
 
 def line_quantities(usual: float, least: int, most: int, at: str) -> tuple[Quantity, ...]:
-    """Amplitudes, usually so large [rad], directions and lines per turn, at an encoder."""
+    """Amplitudes of usual size `usual` [rad], phases and lines per turn, `at` the input or output."""
     return (
         amplitude("amplitude", "rad", 0.1, usual, f"a, reading error at the {at}"),
         direction("phase", f"of the error at {at} angle zero"),

@@ -14,15 +14,15 @@ from hd_diag.effects.signals import Signals
 Verdict = tuple[bool, str]
 
 
-# What an effect asks of a record's motion; arguments beside the signals are bound by `partial`.
+# A check of a record's motion. `partial` binds the arguments after the signals.
 Check = Callable[[Signals], Verdict]
 
 TURN = 2.0 * math.pi
 
-_SPEED_STEP = 0.1  # of the greatest speed; speeds closer than this count as one
-_DIGIT = 1e-9  # of the rated torque; less is rounding
+_SPEED_STEP = 0.1  # share of the greatest speed; speeds closer than this count as one
+_DIGIT = 1e-9  # share of the rated torque; smaller changes are rounding
 _STILL = 1e-3  # [rad/s]; below this the input stands
-_LEAST_LOAD = 0.1  # of the rated torque, under which teeth bear for certain, whatever the error of its zero
+_LEAST_LOAD = 0.1  # share of the rated torque at which teeth surely bear, whatever its zero's error
 
 
 def _verdict(possible: bool, extra: str) -> Verdict:
@@ -30,7 +30,7 @@ def _verdict(possible: bool, extra: str) -> Verdict:
 
 
 def enough_samples(signals: Signals) -> Verdict:
-    """Whether there are samples before and after what a record may show by itself."""
+    """Whether there are ten samples, enough to have some before and after a step."""
     return _verdict(signals.size >= 10, "fewer than ten samples: record before and after the step")
 
 
@@ -81,7 +81,7 @@ def torque_varies(signals: Signals, fraction: float = 0.25) -> Verdict:
 
 
 def loaded(signals: Signals) -> Verdict:
-    """Whether teeth bear at all: in the gear's play its own ripple hangs on what no record shows."""
+    """Whether the teeth surely bear load; within the backlash the gear's ripple cannot be predicted."""
     wanted = _LEAST_LOAD * signals.rated_torque
     most = float(np.max(np.abs(signals.torque), initial=0.0))
     return _verdict(
@@ -115,13 +115,13 @@ def _reaches(signals: Signals, torque: float, extra: str) -> Verdict:
 
 
 def torque_known(signals: Signals) -> Verdict:
-    """Whether the torque is known to change: one that never does by a digit may be assumed, or all noise."""
+    """Whether the torque changes by more than rounding; otherwise it may be assumed, or noise alone."""
     changes = _span(signals.torque) > _DIGIT * signals.rated_torque
     return _verdict(changes, "no torque is measured, or it never changes: record it under a load that does")
 
 
 def torque_reverses(signals: Signals, fraction: float) -> Verdict:
-    """Whether the torque turns back by a fraction of the rated one, within a run, at three values or more."""
+    """Whether the torque reverses by a fraction of the rated one at three values or more, within a run."""
     swing, found = fraction * signals.rated_torque, 0
     for run in signals.runs():
         turns = np.sort(_turning_points(signals.torque[run], swing))
@@ -135,7 +135,7 @@ def torque_reverses(signals: Signals, fraction: float) -> Verdict:
 
 
 def both_directions(signals: Signals) -> Verdict:
-    """Whether the input runs both ways for a twentieth of the record at least."""
+    """Whether the input runs each way in at least a twentieth of the samples."""
     share = [float(np.mean(way * signals.speed > _STILL)) if signals.size else 0.0 for way in (1.0, -1.0)]
     return _verdict(min(share) >= 0.05, "the joint runs one way only: drive the same stretch back as well")
 
@@ -155,7 +155,7 @@ def several_speeds(signals: Signals, number: int) -> Verdict:
 
 
 def _signed(value: float) -> str:
-    """With the minus of print, and no more zero than zero."""
+    """Value as text with a typographic minus sign; "0" where its magnitude is below 5e-4."""
     return f"{value:.3g}".replace("-", "\N{MINUS SIGN}", 1) if abs(value) >= 5e-4 else "0"
 
 
@@ -170,7 +170,7 @@ def speed_beyond(signals: Signals, speed: float) -> Verdict:
 
 
 def temperature_varies(signals: Signals, span: float = 3.0) -> Verdict:
-    """Whether the temperature is measured and changes [K]."""
+    """Whether the temperature is measured and changes by `span` [K]."""
     if signals.temperature is None:
         return False, "no temperature is measured: record it, cold and after warming up by 3 K"
     found = _span(signals.temperature)
@@ -187,7 +187,7 @@ def sample_interval(signals: Signals) -> float:
 
 
 def _turning_points(torque: Floats, swing: float) -> Floats:
-    """Torques where it reverses by more than a swing: rainflow counting's reversals [N m]."""
+    """Torques at which the torque reverses by more than a swing, as in rainflow counting [N m]."""
     if not torque.size:
         return np.empty(0)
     low = high = float(torque[0])
@@ -204,7 +204,7 @@ def _turning_points(torque: Floats, swing: float) -> Floats:
 
 
 def _extremes(values: Floats) -> Floats:
-    """Local extremes, both ends included: a reversal needs no others."""
+    """Local extremes and both ends; reversals depend on no other values."""
     change = np.diff(values)
     inner = np.flatnonzero(change[1:] * change[:-1] <= 0.0) + 1
     return np.asarray(values[np.concatenate(([0], inner, [values.size - 1]))])

@@ -1,4 +1,4 @@
-"""Pitch error of the flexspline, cumulative, by harmonics: as pairs bear it, or alike under any torque."""
+"""Cumulative pitch error of the flexspline, by harmonics: weighted by load, or equal at any torque."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class FlexsplinePitch(Effect):
         return harmonics(contact.even_harmonics(ORDERS) if even else contact.harmonics("tooth", ORDERS))
 
     def step(self, state: Any, signals: Signals, coefficients: Floats, nonlinear: Values) -> Stepped:
-        """The teeth displaced at their full size; see :meth:`Effect.step`."""
+        """Response to teeth displaced at full size; see :meth:`Effect.step`."""
         first = self.columns(signals, nonlinear) @ coefficients
         return first + (0.0 if nonlinear[0] else signals.contact.teeth_beyond(ORDERS, coefficients)), state
 
@@ -37,7 +37,7 @@ EFFECT = FlexsplinePitch(
     kind="kinematic",
     frame="output",
     needs=("wave_generator_angle", "torque"),
-    excitation=(partial(enough_output_turns, turns=1.0), torque_varies),  # parts orders 2 and 2 (1 + 1/N)
+    excitation=(partial(enough_output_turns, turns=1.0), torque_varies),  # separates 2 and 2 (1 + 1/N)
     of_teeth=True,
     proportional=False,
     grid=((0.0,), (1.0,)),

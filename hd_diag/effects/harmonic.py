@@ -19,23 +19,23 @@ class Harmonic(Effect):
     Parameters
     ----------
     angle : str
-        Name of the signal. An error of the input angle is read: it shows at the output with the opposite sign
-        and divided by the ratio.
+        Name of the signal. A wave of "input_angle" is a reading error: at the output it has the opposite sign
+        and is divided by the ratio.
     orders : tuple of float
-        k, one for every amplitude and direction; times the first nonlinear quantity, if there is one.
+        k, one for every amplitude and direction. The first nonlinear quantity, if any, multiplies them.
     """
 
     angle: str
     orders: tuple[float, ...] = (1.0,)
 
     def sensible(self, coefficients: Floats, nonlinear: Values) -> bool:
-        """Whether the first order's wave is the greatest: a gear has waves of its own at the others."""
+        """Whether the first order has the largest wave; the gear itself has waves at the others."""
         size = np.hypot(coefficients[::2], coefficients[1::2])
         return super().sensible(coefficients, nonlinear) and bool(size[0] >= size.max())
 
     @property
     def reach(self) -> Floats:
-        """Usual sizes of further orders: a gear has waves of its own there; see :meth:`Effect.reach`."""
+        """Further orders have usual sizes, because the gear has waves there too; see :meth:`Effect.reach`."""
         return np.concatenate((super().reach[:2], self.usual[2:]))
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:

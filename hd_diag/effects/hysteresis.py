@@ -14,12 +14,12 @@ from hd_diag.effects.recursions import bend, slip
 from hd_diag.effects.signals import Signals
 from hd_diag.formatting import ARCSEC
 
-_BENDING, _SLIPPING = (0.06, 0.15, 0.4), (0.03, 0.09, 0.25)  # of the rated torque
-_ELEMENTS = np.linspace(-1.0, 1.0, 4)  # powers of the spread over the slip elements
-_AGAINST = 0.5  # of the larger amplitude; below it the other only bends the loop
-_SWING = 0.1  # of the rated torque, that must be reversed twice
+_BENDING, _SLIPPING = (0.06, 0.15, 0.4), (0.03, 0.09, 0.25)  # start reaches over the rated torque
+_ELEMENTS = np.linspace(-1.0, 1.0, 4)  # exponent of the spread for each slip element
+_AGAINST = 0.5  # ratio of opposed amplitudes below which the smaller one only bends the loop
+_SWING = 0.1  # least reversal of the torque over the rated torque
 
-# Last torque [N m], None before the first sample; z of the bend and of the elements.
+# Last torque [N m], None before the first sample; state z of the bend, states z of the elements.
 State = tuple[float | None, float, tuple[float, ...]]
 
 
@@ -33,13 +33,13 @@ class Hysteresis(Effect):
     """
 
     def sensible(self, coefficients: Floats, nonlinear: Values) -> bool:
-        """Whether bend and elements make one loop: each other's opposite, they filter the torque's noise."""
+        """Whether bend and elements form one loop; opposed to each other, they filter the torque's noise."""
         first, second = coefficients.tolist()
         less, more = sorted((abs(first), abs(second)))
         return bool(first * second >= 0.0 or less < _AGAINST * more)
 
     def start(self, nonlinear: Values) -> State:
-        """No torque yet; all is relaxed."""
+        """No torque yet; bend and elements are relaxed."""
         return None, 0.0, (0.0,) * _ELEMENTS.size
 
     def advance(self, state: State, signals: Signals, nonlinear: Values) -> Stepped:
@@ -56,7 +56,7 @@ class Hysteresis(Effect):
         return np.stack((bent, sum(every) / len(every)), axis=1), last
 
     def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
-        """Torques over which they stick [N m]."""
+        """Grid of reaches [N m], sharpness and spread."""
         rated = signals.rated_torque
         return Starts.grid(
             (one * rated, sharpness, two * rated, spread)
@@ -91,7 +91,7 @@ EFFECT = Hysteresis(
             5.0,
             "r_2, half the torque over which they stick",
             linear=False,
-            least=0.3,  # within less there is the torque's noise
+            least=0.3,  # smaller reaches lie within the torque's noise
         ),
         Quantity(
             "spread", "-", 1.0, 8.0, 2.0, "s, of the elements' torques about it", linear=False, shape=True

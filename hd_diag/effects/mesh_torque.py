@@ -1,4 +1,4 @@
-"""Causes that are torque: the mesh bears more than is reported, and its compliance makes an angle of it."""
+"""Causes that act as torque: the mesh bears more than is reported, and its compliance turns it into angle."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ def _nothing(signals: Signals, nonlinear: Values) -> Floats:
 
 @dataclass(frozen=True, kw_only=True)
 class MeshTorque(Effect):
-    """The mesh bears the reported torque and ``sum c_k shape_k``; several such causes add up in one torque.
+    """The mesh bears the reported torque plus ``sum c_k shape_k``; several such causes add up to one torque.
 
-    Where it is the `reported` torque that is wrong, what smooths that smooths it as well, except for waves of
-    the input's turn where it leaves these. The `shape` makes torque [N m per unit of the coefficients], shape
-    (n, size), of signals and nonlinear values; what depends on earlier samples overrides `torque_step`
-    instead.
+    `reported` marks an error of the reported torque: smoothing of that torque smooths the cause as well,
+    except for waves of the input's turn if the smoothing keeps them. `shape` makes torque [N m per unit of
+    the coefficients], shape (n, size), from signals and nonlinear values. A cause with memory overrides
+    `torque_step` instead.
     """
 
     stage: Stage = Stage.TORQUE
@@ -40,13 +40,13 @@ class MeshTorque(Effect):
         return self.shape(signals, nonlinear), state
 
     def torque(self, signals: Signals, nonlinear: Values) -> Floats:
-        """The same along a record, every run from its start."""
+        """As `torque_step` along a record, every run from its start."""
         if not self.remembers:
             return self.shape(signals, nonlinear)
         return by_run(signals, lambda run: self.torque_step(self.start(nonlinear), run, nonlinear)[0])
 
     def more(self, columns: Floats, coefficients: Floats) -> Floats:
-        """Real less reported torque [N m], shape (n,), by columns of :meth:`torque`."""
+        """Real less reported torque [N m], shape (n,), from columns of :meth:`torque`."""
         return np.asarray(columns @ coefficients)
 
     def changes(self, columns: Floats, coefficients: Floats) -> Floats:
@@ -54,10 +54,10 @@ class MeshTorque(Effect):
         return columns
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
-        """The torque by the model's compliance; see :meth:`Effect.columns`."""
+        """The torque times the model's slope by torque; see :meth:`Effect.columns`."""
         return signals.predicted_torque_slope[:, None] * self.torque(signals, nonlinear)
 
     def step(self, state: Any, signals: Signals, coefficients: Floats, nonlinear: Values) -> Stepped:
-        """What the model does under the changed torque; see :meth:`Effect.step`."""
+        """Change of the model's error under the changed torque; see :meth:`Effect.step`."""
         torque, state = self.torque_step(state, signals, nonlinear)
         return signals.contact.under_more_torque(self.more(torque, coefficients)), state

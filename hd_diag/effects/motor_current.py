@@ -1,4 +1,4 @@
-"""The torque is what the motor's current makes: less what the motor itself needs on the way to the link."""
+"""Torque from the motor's current: its constant is uncertain, and the motor's friction and inertia add."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from hd_diag.effects.signals import Signals
 REFERENCE = 100.0
 """Speed of the input at which viscous friction is given [rad/s]."""
 
-_POWER = 0.85  # of the speed: friction of grease has 0.7 to 1
+_POWER = 0.85  # exponent of the speed: friction of grease has 0.7 to 1
 
-_SMOOTH = 0.03  # [s], of the speed whose rate counts: encoders count in steps
+_SMOOTH = 0.03  # time constant of the speed before its derivative [s]: encoders count in steps
 
-_DRY, _LOADED = 1, 2  # columns of friction: that of one N m, and of one for every N m
+_DRY, _LOADED = 1, 2  # columns of friction: of 1 N m, and of 1 N m for every N m of torque
 
 # Time [s] of the last sample and the smoothed speed of the input there [rad/s]; None before the first.
 State = tuple[float, float] | None
@@ -34,12 +34,12 @@ class MotorCurrent(MeshTorque):
     """
 
     def more(self, columns: Floats, coefficients: Floats) -> Floats:
-        """What friction takes grows with the torque behind the motor's own; see :meth:`MeshTorque.more`."""
+        """Loaded friction grows with the torque after the motor's own losses; see :meth:`MeshTorque.more`."""
         own = columns @ np.where(np.arange(self.size) == _LOADED, 0.0, coefficients)
         return np.asarray(own + coefficients[_LOADED] * columns[:, _DRY] * np.abs(columns[:, 0] + own))
 
     def changes(self, columns: Floats, coefficients: Floats) -> Floats:
-        """Derivatives of the same; see :meth:`MeshTorque.changes`."""
+        """Derivatives of `more`; see :meth:`MeshTorque.changes`."""
         own = columns @ np.where(np.arange(self.size) == _LOADED, 0.0, coefficients)
         behind, dry = columns[:, 0] + own, columns[:, _DRY]
         found = columns * (1.0 + coefficients[_LOADED] * dry * np.sign(behind))[:, None]
@@ -47,11 +47,11 @@ class MotorCurrent(MeshTorque):
         return np.asarray(found)
 
     def by_factor(self, coefficients: Floats) -> Floats:
-        """Derivative of the coefficients by one factor of all torque that is borne."""
+        """Derivative of the coefficients by a common factor of all torque in the mesh, shape (size,)."""
         return np.where(np.arange(self.size) == _LOADED, 0.0, coefficients + np.eye(self.size)[0])
 
     def torque_step(self, state: State, signals: Signals, nonlinear: Values) -> Stepped:
-        """Rate of a speed after a first-order lag; see :meth:`MeshTorque.torque_step`."""
+        """Torques with inertia by the lagged speed's derivative; see :meth:`MeshTorque.torque_step`."""
         if not signals.size:
             return np.empty((0, self.size)), state
         speed, torque = signals.forward_speed, signals.torque

@@ -1,4 +1,4 @@
-"""A wave at one order of the input's turn, without a known cause: described, so that a model can run it."""
+"""A wave at one order of the input's turn without a known cause, for use in an extended model."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hd_diag.formatting import ARCSEC
 
 
 class OrderLine(Effect):
-    """``a cos(k theta_in - d)``, or the same times ``T / T_rated``."""
+    """``a cos(k theta_in - d)``, or this wave times ``T / T_rated``."""
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Cosine and sine of the order; see :meth:`Effect.columns`."""
@@ -38,4 +38,4 @@ ORDER_LINE = OrderLine(
     source="the residual's own spectrum over the input angle",
     inspect="What turns with this order: see what it might be. Record again, to see whether its phase stays.",
 )
-"""Terms of a model may hold several of them; no search names it."""
+"""A model may contain several terms of it; no search names it."""

@@ -1,9 +1,9 @@
 """Amplitude of a residual over orders of an angle, and its lines: sums over bins, then an FFT.
 
-One spectrum and one finder of lines for all that looks for orders nobody has named: causes, the residual of a
-record, the torque of a joint with one angle, the report. Apart from it stand the orders that a running joint
-follows (`monitor.residual_orders`: four known ones, in bounded memory) and the band of a torque
-(`diagnosis.ripple.band`: a density over frequency, from which lines are taken out).
+Every search for unknown orders uses this spectrum and this finder of lines: causes, the residual of a record,
+the torque of a joint with one angle, the report. Two others are separate: the orders that a running joint
+follows (`monitor.residual_orders`: four known orders, in bounded memory), and the band of a torque
+(`diagnosis.ripple.band`: a density over frequency, with lines removed).
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ import numpy as np
 
 from hd_diag.arrays import Floats, Integers
 
-_OVERSAMPLING = 4  # orders per resolvable one: a line between two of them loses 5 % at most
+_OVERSAMPLING = 4  # points per resolvable order: a line between two points loses 5 % at most
 _MOST_BINS = 2**23
-_FASTEST = 0.98  # of the samples that are slower than what a weight counts
-_BINS_PER_PERIOD = 8  # of the highest order
+_FASTEST = 0.98  # quantile of the travel per sample at which weights are capped
+_BINS_PER_PERIOD = 8  # bins per period of the highest order
 
 
 def spectrum(angle: Floats, residual: Floats, highest: float) -> tuple[Floats, Floats]:
-    """Orders up to the highest, closer than the record resolves, and the magnitude of the Fourier sum [rad].
+    """Orders up to the highest, closer than the record resolves, and the amplitude at each [rad], (k,) each.
 
-    The angle [rad] (n,) is continuous over the turns and may run back and forth; both results are (k,).
+    The angle [rad] (n,) is continuous over the turns and may run back and forth.
     """
     first, span = float(np.min(angle)), max(float(np.ptp(angle)), 2.0 * math.pi)
     per_turn = min(_BINS_PER_PERIOD * highest, _MOST_BINS / (_OVERSAMPLING * span / (2.0 * math.pi)))
@@ -36,31 +36,31 @@ def spectrum(angle: Floats, residual: Floats, highest: float) -> tuple[Floats, F
 
 
 def integer_orders(angle: Floats, residual: Floats, highest: int) -> Floats:
-    """Strength of the integer orders 0 to highest [rad], shape (highest + 1,)."""
+    """Amplitudes of the integer orders 0 to highest [rad], shape (highest + 1,)."""
     bins = 2 ** math.ceil(math.log2(_BINS_PER_PERIOD * highest))
     place = np.floor(np.mod(angle, 2.0 * math.pi) * (bins / (2.0 * math.pi))) % bins
     return _strength(angle, residual, place, bins, bins)[: highest + 1]
 
 
 def _strength(angle: Floats, residual: Floats, place: Floats, bins: int, length: int) -> Floats:
-    """Magnitudes of the Fourier transform of so many bins, filled with zeros to a length [rad]."""
+    """Amplitudes by the Fourier transform of the binned residual, zero-padded to a length [rad]."""
     sums = np.bincount(place.astype(np.int64), travelled(angle) * (residual - residual.mean()), bins)
     return np.asarray(np.abs(np.fft.rfft(sums, length)) * (2.0 / angle.size))
 
 
 def travelled(angle: Floats) -> Floats:
-    """Weights of samples (n,), in proportion to the angle that each covers, 1 in the mean."""
+    """Weights of samples (n,), proportional to the angle that each covers, with mean 1."""
     way = np.abs(np.gradient(angle)) if angle.size > 1 else np.zeros(angle.size)
     if not way.any():
         return np.ones(angle.size)
-    most = float(np.quantile(way, _FASTEST)) or float(way.max())  # nearly all may rest
-    way = np.minimum(way, most)  # where rows are left out it is no sample's own
+    most = float(np.quantile(way, _FASTEST)) or float(way.max())  # zero if nearly all samples rest
+    way = np.minimum(way, most)  # a step across left-out rows belongs to no sample
     return np.asarray(way / way.mean())
 
 
 def peaks(strength: Floats, beside: int) -> Integers:
-    """Indices of values above zero that none of so many on either side exceeds, the strongest first."""
-    from scipy.ndimage import maximum_filter1d  # late: a node that diagnoses nothing does without
+    """Indices of positive local maxima among `beside` values on either side, the strongest first."""
+    from scipy.ndimage import maximum_filter1d  # late: a node without diagnoses does not need it
 
     most = maximum_filter1d(strength, 2 * beside + 1, mode="constant")
     found = np.flatnonzero((strength >= most) & (strength > 0.0))
@@ -68,7 +68,7 @@ def peaks(strength: Floats, beside: int) -> Integers:
 
 
 def prominence(strength: Floats, beside: int) -> Floats:
-    """Strength (k,) over what is usual there: medians of parts with so many values on either side."""
+    """Strength (k,) over its local level: interpolated medians of blocks of ``2 beside + 1`` values."""
     width = min(2 * beside + 1, strength.size)
     count = strength.size // width
     usual = np.median(strength[: count * width].reshape(count, width), axis=1)
@@ -77,7 +77,7 @@ def prominence(strength: Floats, beside: int) -> Floats:
 
 
 def top(order: Floats, strength: Floats, index: int) -> float:
-    """Order at which a parabola through the logarithms of a peak and the values beside it is greatest."""
+    """Order at the vertex of a parabola through the logarithms of a peak and of its two neighbours."""
     if order.size < 3:
         return float(order[index])
     at = min(max(index, 1), order.size - 2)
@@ -88,13 +88,13 @@ def top(order: Floats, strength: Floats, index: int) -> float:
 
 
 def line_width(angle: Floats, leak: float) -> float:
-    """Distance from a line of the spectrum within which its side lobes are above a share of it [order].
+    """Distance from a line of the spectrum within which its side lobes exceed a share of it [order].
 
-    For samples that are spread evenly it is about one over the turns; more where a record dwells in parts of
-    its way. The angle [rad] (n,) is continuous over the turns; the leak is that share.
+    It is about one over the turns for evenly spread samples, and more if a record dwells in parts of its way.
+    The angle [rad] (n,) is continuous over the turns; `leak` is the share.
     """
     place = (angle - np.min(angle)) / (2.0 * math.pi)
-    turns = max(1.0, _OVERSAMPLING * float(place.max()) / _MOST_BINS)  # of a bin
+    turns = max(1.0, _OVERSAMPLING * float(place.max()) / _MOST_BINS)  # turns per bin
     count = np.bincount(np.floor(place / turns).astype(np.int64), travelled(angle))
     length = 2 ** math.ceil(math.log2(_OVERSAMPLING * max(count.size, 2)))
     window = np.abs(np.fft.rfft(count, length)) / angle.size

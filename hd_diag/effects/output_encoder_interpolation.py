@@ -8,8 +8,8 @@ from hd_diag.effects.encoder_interpolation import EncoderInterpolation, line_qua
 from hd_diag.effects.excitation import enough_output_turns
 from hd_diag.formatting import ARCSEC
 
-_LEAST, _MOST = 8, 1024  # beyond, any order of the gear is near a whole number of lines
-_MULTIPLE = 4  # else every order of the input with two digits would be a number of lines
+_LEAST, _MOST = 8, 1024  # beyond, every order of the gear is near a whole number of lines
+_MULTIPLE = 4  # otherwise every input order with two decimals would be a number of lines
 
 EFFECT = EncoderInterpolation(
     name="output_encoder_interpolation",

@@ -1,4 +1,4 @@
-"""Numbers of an effect as people read them: name, unit, limits; and the columns of harmonics."""
+"""Quantities of an effect: name, unit and limits; and the columns of harmonics."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hd_diag.arrays import Complexes, Floats
 
 @dataclass(frozen=True)
 class Quantity:
-    """One number of an effect, as it is given to people.
+    """One physical number of an effect.
 
     Parameters
     ----------
@@ -22,10 +22,10 @@ class Quantity:
     unit : str
         SI; "-" for a pure number.
     low, high : float
-        Values that make sense; lengths, torques and compliances are those of a gear of size 25, ratio 100 and
-        56 N m, and those of another gear follow (`hd_diag.effects.scaling`).
+        Plausible range. Lengths, torques and compliances are those of a gear of size 25, ratio 100 and
+        56 N m; `hd_diag.effects.scaling` converts them to another gear.
     prior_scale : float
-        Size that is usual, in its unit, of the same gear.
+        Usual size for the same gear, in its unit.
     meaning : str
     linear : bool
         Whether the transmission error is proportional to it. An amplitude and the direction after it count as
@@ -33,15 +33,15 @@ class Quantity:
     periodic : float, optional
         Period of a direction or position [rad]; ``2 pi / k`` for a k-lobed error.
     discrete : bool
-        Whether only the values that the effect's start points have make sense: not to be refined.
+        Whether only the values of the effect's start points are allowed. A fit does not refine it.
     power : int
-        Power of it that the coefficient is: 2 where the error grows with its square.
+        The coefficient is the quantity to this power: 2 where the error grows with its square.
     strict : bool
-        Whether a candidate with a value outside the limits is rejected: another cause is meant.
+        Whether a candidate with a value outside the limits is rejected, because it imitates another cause.
     shape : bool
-        Whether it only bends a curve: people get the curve, not the number.
+        Whether it only shapes a curve. Reports show the curve, not the number.
     least, most : float
-        How far a fit goes within the limits: beyond, the effect looks like another one.
+        Narrower limits for fits. Beyond them the effect looks like another one.
     """
 
     name: str
@@ -61,7 +61,7 @@ class Quantity:
 
     @property
     def fitted(self) -> tuple[float, float]:
-        """Least and greatest value that a fit gives it."""
+        """Least and greatest value that a fit may give it."""
         return max(self.low, self.least), min(self.high, self.most)
 
     def allows(self, value: float) -> bool:
@@ -70,38 +70,38 @@ class Quantity:
 
 
 def amplitude(name: str, unit: str, high: float, prior_scale: float, meaning: str) -> Quantity:
-    """Size of a harmonic, to be followed by its direction."""
+    """Amplitude of a harmonic; its direction must be the next quantity."""
     return Quantity(name, unit, 0.0, high, prior_scale, meaning)
 
 
 def direction(name: str, meaning: str, order: int = 1) -> Quantity:
-    """Where a harmonic is greatest: the amplitude before it times ``cos(k (angle - direction))``."""
+    """Angle at which a harmonic is greatest: the wave is ``amplitude cos(k (angle - direction))``."""
     period = 2.0 * math.pi / order
     return Quantity(name, "rad", 0.0, period, period, meaning, periodic=period)
 
 
 def choice(name: str, meaning: str, values: tuple[float, ...]) -> Quantity:
-    """One of some numbers, rising."""
+    """A quantity that takes one of the given values, in rising order."""
     return Quantity(name, "-", values[0], values[-1], 1.0, meaning, linear=False, discrete=True)
 
 
 def switch(name: str, meaning: str) -> Quantity:
-    """Which of two forms an effect has, 0 or 1."""
+    """A choice between two forms of an effect, 0 or 1."""
     return choice(name, meaning, (0.0, 1.0))
 
 
 def lobes(
     name: str, orders: Sequence[int], size_meaning: str, direction_meaning: str
 ) -> tuple[Quantity, ...]:
-    """Amplitude [m] and direction of errors of the teeth with some numbers of periods around.
+    """Amplitude [m] and direction of tooth errors for each order, the number of periods around the gear.
 
-    Names end with the order; ``{}`` in the amplitude's meaning stands for it.
+    Names end with the order, which also replaces ``{}`` in the amplitude's meaning.
     """
     return tuple(
         quantity
         for k in orders
         for quantity in (
-            # Errors that add up around fall with the order (a random walk: as its reciprocal).
+            # Cumulative errors decrease with the order: a random walk as its reciprocal.
             amplitude(f"{name}_{k}", "m", 5e-5, 2e-6 * min(1.0, 2.0 / k), size_meaning.format(k)),
             direction(f"{name}_direction_{k}", direction_meaning, k),
         )
@@ -114,11 +114,11 @@ def turning(phase: Floats) -> Floats:
 
 
 def harmonics(responses: Complexes) -> Floats:
-    """Columns of a cosine and a sine coefficient for every complex response (n, k), shape (n, 2 k)."""
+    """Columns (n, 2 k) of cosine and sine coefficients, from complex responses (n, k)."""
     return np.ascontiguousarray(responses).view(np.float64)
 
 
 def harmonic_sum(coefficients: Floats, orders: Sequence[int], angle: Floats) -> Floats:
-    """``sum a_k cos k (angle - d_k)`` of cosine and sine coefficients, in the shape of the angle."""
+    """``sum a_k cos k (angle - d_k)`` from cosine and sine coefficients, in the shape of the angle."""
     pairs = zip(orders, coefficients[::2], coefficients[1::2], strict=True)
     return np.asarray(sum(a * np.cos(k * angle) + b * np.sin(k * angle) for k, a, b in pairs))

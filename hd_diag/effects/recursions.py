@@ -10,11 +10,11 @@ import numpy as np
 
 from hd_diag.arrays import Complexes, Floats
 
-_BENT = 1e-7  # off the end, from where nothing bends any further
+_BENT = 1e-7  # distance of |z| from 1 at which bending stops
 
 
 def warm_up() -> None:
-    """Compile all of them now, or read them from the disk."""
+    """Compile all recursions now, or read them from the disk."""
     nothing = np.zeros(1, dtype=np.complex128)
     slip(0.0, np.zeros(1))
     bend(0.0, np.zeros(1), 1.0)
@@ -22,15 +22,15 @@ def warm_up() -> None:
 
 
 def slip(state: float, change: Floats) -> Floats:
-    """Maxwell slip element ``z <- clip(z + change, -1, 1)``: z after every change (n,), from a z before."""
+    """Maxwell slip element ``z <- clip(z + change, -1, 1)`` from z = `state`: z after every change (n,)."""
     found: Floats = _compiled(_slip)(float(state), np.ascontiguousarray(change))
     return found
 
 
 def bend(state: float, change: Floats, sharpness: float) -> Floats:
-    """Bouc and Wen's ``dz = dx (1 - |z|^n)`` while x goes on the way z is bent, ``dz = dx`` back.
+    """Bouc and Wen: ``dz = dx (1 - |z|^n)`` if dx has the sign of z, else ``dz = dx``.
 
-    Gives z after every change of x (n,), from a z before; the sharpness is n.
+    Returns z after every change of x (n,); z starts at `state`, and `sharpness` is n.
     """
     found: Floats = _compiled(_bend)(float(state), np.ascontiguousarray(change), float(sharpness))
     return found
@@ -39,7 +39,7 @@ def bend(state: float, change: Floats, sharpness: float) -> Floats:
 def relax(state: Complexes, decay: Complexes, added: Complexes) -> Complexes:
     """First-order recursion ``q <- decay q + added`` of k columns: q after every step (n, k).
 
-    From a q before (k,), decays (n,) or (1,) and what is added (n, k).
+    `state` (k,) is q before the first step, `decay` is (n,) or (1,), `added` (n, k).
     """
     every = np.array(np.broadcast_to(decay, added.shape[0]))
     found: Complexes = _compiled(_relax)(np.array(state), every, np.ascontiguousarray(added))
@@ -47,7 +47,7 @@ def relax(state: Complexes, decay: Complexes, added: Complexes) -> Complexes:
 
 
 def lag(state: float, decay: Floats, added: Floats) -> Floats:
-    """The same recursion of one real column: decays, what is added and q after every step, shape (n,)."""
+    """As `relax` for one real column: `decay`, `added` and q after every step have shape (n,)."""
     decays, column = decay.astype(np.complex128), added.astype(np.complex128)[:, None]
     return relax(np.array([state + 0j]), decays, column)[:, 0].real
 
@@ -63,7 +63,7 @@ def _slip(state: float, change: Floats) -> Floats:
 def _bend(state: float, change: Floats, sharpness: float) -> Floats:
     result = np.empty(change.size)
     for index in range(change.size):
-        parts = int(8.0 * abs(change[index])) + 1  # of a step, by the midpoint rule
+        parts = int(8.0 * abs(change[index])) + 1  # substeps by the midpoint rule
         if parts > 200:
             parts = 200
         way = change[index] / parts
@@ -90,6 +90,6 @@ def _relax(state: Complexes, decay: Complexes, added: Complexes) -> Complexes:
 
 @functools.cache
 def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    from hd_diag.model.kernel.compiler import entry_point  # here, because numba takes its time
+    from hd_diag.model.kernel.compiler import entry_point  # late: importing numba is slow
 
     return entry_point(function)

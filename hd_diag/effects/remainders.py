@@ -1,7 +1,7 @@
-"""Slow functions that no model promises: of torque, speed, place and time, and lines that change with load.
+"""Remainders: slow functions of torque, speed, place and time that the model lacks, and lines of the input.
 
-Every joint has some of each. They are part of every fit, each with a size of its own; those that predict
-held-out data are part of an extended model, so that what it leaves is small. None is named as a cause.
+Every joint shows some of each. Every fit contains them, each with its own prior size. Those that predict
+held-out data become part of the extended model, so that its residual is small. None is named as a cause.
 Kennedy and O'Hagan, J. R. Statist. Soc. B 63, 2001.
 """
 
@@ -18,27 +18,27 @@ from hd_diag.effects.quantity import Quantity, turning
 from hd_diag.effects.recursions import slip
 from hd_diag.effects.signals import Signals
 
-_SEGMENTS = 8  # of the torque, of either sign
-_REACHES = (0.02, 0.06, 0.2, 0.6)  # of the torque's range, over which an element sticks
-_TURNS = (1, 2, 3)  # waves of the output's turn
-_HATS = 5  # of the torque's magnitude, denser near zero, by which a line changes
-# Share of a line's variance that is not the same at every torque. Waves of teeth, of even orders, halve or
-# so; one per turn comes from what displaces the wave generator, unless an encoder makes it.
+_SEGMENTS = 8  # torque segments for either sign
+_REACHES = (0.02, 0.06, 0.2, 0.6)  # torque at which a relaxed element slips, over the torque's range
+_TURNS = (1, 2, 3)  # orders of the output's turn
+_HATS = 5  # nodes of the torque's magnitude, denser near zero, for the change of a line
+# Share of a line's prior variance that changes with torque. Even orders come from the teeth and about halve
+# under load. Order 1 comes from a displaced wave generator, unless an encoder causes it.
 _CHANGES = {1: 1.0, 2: 0.25, 4: 0.25}
-_TURNED = 0.2  # rad, by which a torque of the other sign, that other flanks bear, turns the phase
-_ODD = 2  # laws of the torque with its sign: in proportion, and its root
-_KNOTS = 10  # of a drift
-_SLOWEST = 5.0  # between knots of a drift, at least [s]: no wave of the gear is as slow
-_SPEEDS = np.array([0.01, 0.03, 0.1, 0.3, 1.0])  # of the top speed: below, friction changes its sign
-_OWN = 0.1  # share of the variance that each speed has for itself
-_LOADED = 2  # laws that grow with the load as well: the constant one, and that in proportion
+_TURNED = 0.2  # change of phase [rad] with the torque's sign, because other flanks bear
+_ODD = 2  # laws that are odd in the torque: proportional, and square root
+_KNOTS = 10  # knots of a drift
+_SLOWEST = 5.0  # least time between knots of a drift [s]: no wave of the gear is as slow
+_SPEEDS = np.array([0.01, 0.03, 0.1, 0.3, 1.0])  # nodes over the top speed; below, friction changes its sign
+_OWN = 0.1  # share of the prior variance that is independent at each node of the speed
+_LOADED = 2  # speed laws that also grow with the load: the constant and the proportional one
 _SPEED_LAWS = np.linalg.cholesky(
     1.0 - _OWN + np.multiply.outer(_SPEEDS, _SPEEDS) + _OWN * np.eye(_SPEEDS.size)
 )
 LINES = (1, 2, 4)
-"""Orders of the input's turn that any gear has: encoders and couplings; two lobes; four of both together."""
+"""Orders of the input's turn in any gear: 1 of encoders and couplings, 2 of the lobes, 4 of both together."""
 
-# Last torque [N m], None before the first sample; z of the elements.
+# Last torque [N m], None before the first sample; state z of each element, -1 to 1.
 LoopState = tuple[float | None, tuple[float, ...]]
 
 Shape = Callable[[Signals, float, float], Floats]
@@ -46,9 +46,9 @@ Shape = Callable[[Signals, float, float], Floats]
 
 @dataclass(frozen=True, kw_only=True)
 class Remainder(Effect):
-    """A function with coefficients of standard normal prior, in units of its `size`.
+    """A function whose coefficients have a standard normal prior, in units of its `size`.
 
-    It covers a range, from `low` to `high`. `follows` is the signal that it is a function of.
+    `low` and `high` are the range that it was fitted to. `follows` is the signal that it is a function of.
     """
 
     kind: Kind = "kinematic"
@@ -62,10 +62,10 @@ class Remainder(Effect):
 
 @dataclass(frozen=True, kw_only=True)
 class Law(Remainder):
-    """A remainder of each moment alone.
+    """A remainder without memory.
 
-    `shape` makes columns (n, count) of order one from signals and the range; beyond it the function goes on
-    as it ends.
+    `shape` makes columns (n, count) of order one from signals and the range. Beyond the range the outer
+    torque segments continue linearly; all other laws stay constant.
     """
 
     shape: Shape
@@ -78,23 +78,23 @@ class Law(Remainder):
 
 @dataclass(frozen=True, kw_only=True)
 class Line(Law):
-    """Waves of so many periods per turn of the input."""
+    """Waves with `order` periods per turn of the input."""
 
     order: int
 
 
 @dataclass(frozen=True, kw_only=True)
 class Loop(Remainder):
-    """Elements that slip one after the other, as in any friction of solids (Prandtl and Ishlinskii)."""
+    """Hysteresis of dry friction: elements that slip one after the other (Prandtl and Ishlinskii)."""
 
     remembers: bool = True
 
     def start(self, nonlinear: Values) -> LoopState:
-        """No torque yet; all is relaxed."""
+        """No torque yet; all elements are relaxed."""
         return None, (0.0,) * len(_REACHES)
 
     def advance(self, state: LoopState, signals: Signals, nonlinear: Values) -> Stepped:
-        """Let the elements slip; see :meth:`Effect.advance`."""
+        """Move the elements by the changes of torque; see :meth:`Effect.advance`."""
         torque, (size, low, high) = signals.torque, nonlinear
         if not torque.size:
             return np.empty((0, len(_REACHES))), state
@@ -115,18 +115,18 @@ def _quantities(count: int, unit: str, of: str) -> tuple[Quantity, ...]:
 
 
 def _inside(values: Floats, low: float, high: float) -> Floats:
-    """Values (n,) within a range about zero, over its greater end."""
+    """Values (n,) clipped to a range about zero, over its end of greater magnitude [-]."""
     return np.asarray(np.clip(values, low, high) / max(-low, high, 1e-9))
 
 
 def _hats(place: Floats, count: int) -> Floats:
-    """Straight pieces between nodes 0, 1, 2 and so on at places (n,): shares of each node, (n, count)."""
+    """Hat functions about nodes 0 to count - 1: linear interpolation weights at places (n,), (n, count)."""
     shares: Floats = np.maximum(1.0 - np.abs(place[:, None] - np.arange(count)), 0.0)
     return shares
 
 
 def _torque(signals: Signals, low: float, high: float) -> Floats:
-    """Torque within each segment: a compliance of its own there [N m], of either sign."""
+    """Torque within each segment of either sign [N m], (n, count): each coefficient is a compliance."""
     parts = []
     for sign, end in ((1.0, high), (-1.0, -low)):
         width = max(end, 0.0) / _SEGMENTS
@@ -138,9 +138,9 @@ def _torque(signals: Signals, low: float, high: float) -> Floats:
 
 
 def _speed(signals: Signals, low: float, high: float) -> Floats:
-    """What changes its sign with the motion, and what does not: constant, in proportion, and other laws.
+    """Speed laws from constant to proportional: first odd in the direction of motion, then even.
 
-    And what changes its sign with the motion and grows with the load, as friction of loaded teeth does.
+    Then odd laws that grow with the load, as the friction of loaded teeth does.
     """
     speed = _inside(signals.forward_speed, low, high)
     size = np.maximum(np.abs(speed), 1e-9)
@@ -153,14 +153,14 @@ def _speed(signals: Signals, low: float, high: float) -> Floats:
 
 
 def _place(signals: Signals, low: float, high: float) -> Floats:
-    """Waves of the output's turn, and the same times the torque over its greatest."""
+    """Waves of the output's turn, and the same waves times the torque over its greatest magnitude."""
     load = _inside(signals.torque, low, high)
     waves = [f(k * signals.output_angle) for k in _TURNS for f in (np.cos, np.sin)]
     return np.stack([*waves, *(load * wave for wave in waves)], axis=1)
 
 
 def _time(signals: Signals, low: float, high: float) -> Floats:
-    """Hats about knots, whose sum is one: straight pieces between these."""
+    """Hat functions of the time about the knots, with sum one; zero in too short a record."""
     hats = np.zeros((signals.size, _KNOTS))
     pieces = min(int((high - low) / _SLOWEST), _KNOTS - 1)
     if pieces > 0:
@@ -170,10 +170,10 @@ def _time(signals: Signals, low: float, high: float) -> Floats:
 
 
 def _line(order: int) -> Shape:
-    """Waves with the same part at every torque, and what changes with its magnitude.
+    """Waves whose amplitude may change with the torque's magnitude and, a little, with its sign.
 
-    What changes is in proportion: a gear's own wave falls by the rated torque, a coupling's or encoder's does
-    not. A little changes with the torque's sign: other flanks bear it.
+    A gear's own wave falls up to the rated torque, a coupling's or encoder's does not. A record of less
+    torque allows less change, in proportion. The sign decides which flanks bear.
     """
     apart, changes = np.abs(np.subtract.outer(np.arange(_HATS), np.arange(_HATS))), _CHANGES[order]
     smooth = np.linalg.cholesky(1.0 - changes + changes * (1.0 - changes) ** apart)
@@ -249,7 +249,7 @@ EVEN = Line(
     order=2,
 )
 ORDERS = (
-    EVEN,  # first: where it is enough, the next need not grow
+    EVEN,  # first: if it suffices, the next line keeps its usual size
     *(
         Line(
             name=f"line_{order}",
@@ -265,4 +265,4 @@ ORDERS = (
     ),
 )
 REMAINDERS = (TORQUE, LOOP, SPEED, PLACE, TIME, *ORDERS)
-"""All of them; a model file may hold each once."""
+"""All remainders; a model file may hold each once."""

@@ -25,14 +25,14 @@ ORDERS = (1.0, 2.0, 4.0)
 """Orders of the wave generator's turn that excite."""
 
 LOWEST = 10.0
-"""Natural frequency [rad/s]: no joint swings more slowly than once in half a second."""
+"""Lowest natural frequency [rad/s]: no joint swings more slowly than once in half a second."""
 
 _COARSE = 6  # natural frequencies per order in the grid
-_FINE = 60  # in a scan
+_FINE = 60  # natural frequencies per order in a scan of a residual
 _DAMPINGS = (0.03, 0.08)  # [-]
-_SLACK = 2.5e-3  # over the rated torque: with this torque half of the ripple passes the backlash
-_TICK = 2.0**-40  # [s]; steps of the time are distinguished by no less
-_BINS = 256  # of the wave generator's speed, in a scan
+_SLACK = 2.5e-3  # torque at which half of the ripple passes the backlash, over the rated torque
+_TICK = 2.0**-40  # resolution of time steps [s]
+_BINS = 256  # bins of the wave generator's speed in a scan
 
 Before = tuple[tuple[float, float, float], tuple[complex, ...]]
 State = Before | None
@@ -50,7 +50,7 @@ class Resonance(Effect):
     """
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
-        """What no natural frequency changes is kept for later calls; see :meth:`Effect.columns`."""
+        """The oscillator's inputs, alike for all frequencies, are cached; see :meth:`Effect.columns`."""
         kept = signals.kept.setdefault(("resonance", nonlinear[0]), [])
         if not kept and signals.size:
             _ = signals.ripple, signals.contact.ripple
@@ -59,14 +59,14 @@ class Resonance(Effect):
         return np.concatenate(parts) if parts else np.empty((0, 3))
 
     def step(self, state: State, signals: Signals, coefficients: Floats, nonlinear: Values) -> Stepped:
-        """Exact between samples while the speed is constant there; see :meth:`Effect.step`."""
+        """The recursion is exact for constant speed between samples; see :meth:`Effect.step`."""
         if not signals.size:
             return np.empty(0), state
         columns, state = _stepped(nonlinear, _path(signals, nonlinear[0], state), state)
         return np.asarray(columns @ coefficients), state
 
     def carry(self, signals: Signals, added: Floats, coefficients: Floats, nonlinear: Values) -> Floats:
-        """``c (H - 1)`` of every part; see :meth:`Effect.carry`."""
+        """Every part filtered by ``c (H - 1)``; see :meth:`Effect.carry`."""
         pole, residue = _oscillator(nonlinear)
         passed = added * _passing(signals)[:, None]
         result = -passed
@@ -81,7 +81,7 @@ class Resonance(Effect):
     def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
         """Natural frequencies [rad/s] that the orders pass, or those that fit a residual best.
 
-        They are fitted to it as if every speed were constant.
+        The fit to a residual is quasi-static: it treats every speed as constant.
         """
         trials = len(ORDERS) * _FINE * len(_DAMPINGS)
         if residual is not None:
@@ -93,31 +93,31 @@ class Resonance(Effect):
 
 
 def _oscillator(nonlinear: Values) -> tuple[complex, complex]:
-    """Pole [1/s], and residue of what the link does."""
+    """Pole [1/s] and residue of the link's response."""
     _, frequency, damping = nonlinear
     pole = frequency * complex(-damping, np.sqrt(1.0 - damping * damping))
     return pole, (2.0 * damping * frequency * pole + frequency**2) / (1j * pole.imag)
 
 
 def _passing(signals: Signals) -> Floats:
-    """Share of the gear's ripple that torque passes on: in the backlash noise would choose the flank."""
+    """Share of the gear's ripple that the torque passes on (n,); in the backlash noise selects the flank."""
     load = np.abs(signals.torque) / (_SLACK * signals.rated_torque)
     return np.asarray(load**4 / (1.0 + load**4))
 
 
 class _Path(NamedTuple):
-    """What drives the oscillator through n samples that follow each other, whatever its pole.
+    """Inputs of the oscillator at n consecutive samples; they do not depend on its pole.
 
-    The sample before them, where there is one, comes first.
+    The sample before them comes first, if there is one.
     """
 
     time: Floats
     phase: Floats
     ripple: Floats
-    step: Floats  # of the time [s], shape (n - 1,), or (1,) if all are alike
+    step: Floats  # time steps [s], shape (n - 1,), or (1,) if all are equal
     drive: Complexes  # exp(i phase)
-    rate: Floats  # of the phase from sample to sample [rad/s]
-    first_rate: float  # of the phase at the first [rad/s]
+    rate: Floats  # phase rate between samples [rad/s], shape (n - 1,)
+    first_rate: float  # phase rate at the first sample [rad/s]
 
 
 def _path(signals: Signals, order: float, state: State) -> _Path:
@@ -133,16 +133,16 @@ def _path(signals: Signals, order: float, state: State) -> _Path:
 
 
 def _intervals(time: Floats) -> Floats:
-    """Steps of the time to a picosecond [s], shape (n - 1,); (1,) where all are alike.
+    """Time steps rounded to a picosecond [s], shape (n - 1,), or (1,) if all are equal.
 
-    Rounding of the time stamps would make every step of even samples another one.
+    Without this, floating-point rounding would make the steps of evenly spaced samples differ.
     """
     step = np.round(np.diff(time) / _TICK) * _TICK
     return step[:1] if step.size and (step == step[0]).all() else step
 
 
 def _steps(pole: complex, step: Floats) -> tuple[Complexes, Complexes, Complexes]:
-    """Of ``q' = pole q + v``: factor of q, of v, and of the change of v over a step; (n,) or (1,) each."""
+    """Factors of q, v and the change of v over a step of ``q' = pole q + v``; (n,) or (1,) each."""
     z, still = pole * step, step == 0.0
     safe = np.where(still, 1.0, z)
     grown = np.expm1(safe)
@@ -151,11 +151,11 @@ def _steps(pole: complex, step: Floats) -> tuple[Complexes, Complexes, Complexes
 
 
 def _stepped(nonlinear: Values, path: _Path, state: State) -> tuple[Floats, State]:
-    """Columns along a path, and the state at its end."""
+    """Columns (n, 3) along a path, and the state at its end."""
     pole, residue = _oscillator(nonlinear)
     first = np.array(_steady(pole, path) if state is None else state[1])
     decay, constant, rising = _steps(pole, path.step)
-    # What exp(i phase) and its conjugate, turning evenly from sample to sample, add.
+    # Contributions of exp(i phase) and its conjugate, at constant rate between samples.
     before, after, turning = path.drive[:-1], path.drive[1:], 1j * path.rate
     forward = (after - decay * before) / (turning - pole)
     backward = (after.conj() - decay * before.conj()) / (-turning - pole)
@@ -163,7 +163,7 @@ def _stepped(nonlinear: Values, path: _Path, state: State) -> tuple[Floats, Stat
     waves = np.stack((0.5 * (forward + backward), -0.5j * (forward - backward)), axis=1)
     waves[np.broadcast_to(path.step == 0.0, waves.shape[:1])] = 0.0
     modes = relax(first, decay, np.column_stack((waves, straight)))
-    if state is None:  # the first sample is where it begins
+    if state is None:  # the first sample is the steady state
         modes = np.vstack((first, modes))
     response = (residue * modes).real
     response[:, 2] -= path.ripple[path.ripple.size - response.shape[0] :]
@@ -172,7 +172,7 @@ def _stepped(nonlinear: Values, path: _Path, state: State) -> tuple[Floats, Stat
 
 
 def _steady(pole: complex, path: _Path) -> tuple[complex, ...]:
-    """As if the first speed had always been, and the first ripple."""
+    """Steady state at the first sample's speed and ripple."""
     first, rate = complex(path.drive[0]), path.first_rate
     forward, backward = first / (1j * rate - pole), first.conjugate() / (-1j * rate - pole)
     return 0.5 * (forward + backward), -0.5j * (forward - backward), -float(path.ripple[0]) / pole
@@ -189,7 +189,7 @@ def _passed(signals: Signals, order: float) -> tuple[float, float]:
 
 
 def _binned(signals: Signals, residual: Floats) -> tuple[Floats, Floats, Complexes, Complexes]:
-    """Speeds [rad/s], samples, means of residual and ripple turned back by every order, (orders, bins)."""
+    """Speed bins [rad/s], samples in each (bins,), demodulated residual and ripple [rad] (orders, bins)."""
     speed = signals.wave_generator_speed
     greatest = max(float(np.max(np.abs(speed), initial=0.0)), 1e-3)
     place = np.rint((speed / greatest + 1.0) * (0.5 * (_BINS - 1))).astype(np.int64)
@@ -214,16 +214,16 @@ def _binned(signals: Signals, residual: Floats) -> tuple[Floats, Floats, Complex
 def _quasi_static(
     signals: Signals, bins: tuple[Floats, Floats, Complexes, Complexes], order: float, damping: float
 ) -> list[tuple[float, Values]]:
-    """Squares that each natural frequency explains, as an order of its own and by the ripple that it passes.
+    """Sum of squares that each natural frequency explains [rad^2], by the order and by the passed ripple.
 
-    Every bin of speeds is taken as a steady state.
+    With it the nonlinear values. Every speed bin is treated as a steady state.
     """
     speed, count, rest, ripple = bins
     own = (np.array(ORDERS) == order)[:, None]
     frequencies = np.geomspace(*_passed(signals, order), _FINE)
     r = np.array(ORDERS)[:, None] * speed / frequencies[:, None, None]
     through = (1.0 + 2j * damping * r) / (1.0 - r**2 + 2j * damping * r)
-    # A real mean turned back holds half of an order's amplitude.
+    # Demodulating a real wave gives half of its amplitude.
     parts = 0.5 * np.stack((own * through, -1j * own * through, (through - 1.0) * ripple), axis=1)
     flat, weighted = (every.reshape(_FINE, 3, -1) for every in (parts, parts.conj() * count))
     moments = (weighted @ rest.ravel()).real
@@ -242,7 +242,7 @@ EFFECT = Resonance(
     kind="torsion",
     frame="time",
     needs=("time", "wave_generator_angle", "speed", "torque", "run"),
-    # Five speeds across it, and enough turns at them, under a load that makes a ripple.
+    # Needs five speeds across the resonance, enough turns, and a load that makes ripple.
     excitation=(
         torque_known,
         loaded,

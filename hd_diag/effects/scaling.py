@@ -9,15 +9,15 @@ from hd_diag.drive import Drive
 from hd_diag.effects.effect import Effect
 from hd_diag.effects.quantity import Quantity
 
-# Of the gear of size 25, ratio 100, for which limits and usual sizes are stated:
+# The gear of size 25 and ratio 100 for which limits and usual sizes are stated:
 _MODULE = (0.0302584 + 0.0297404) / 200.0  # sum of the neutral curve's semi-axes over teeth [m]
 _RATED_TORQUE = 56.0  # [N m]
 
 
 def unit_scales(drive: Drive) -> Mapping[str, float]:
-    """Factors for sizes in each unit that suit a drive: 1 for a gear of size 25, ratio 100 and 56 N m.
+    """Factors by unit that scale sizes to a drive: 1 for a gear of size 25, ratio 100 and 56 N m.
 
-    Angles stay: the torsion under the rated torque is nearly that of all sizes.
+    Angles are not scaled: at the rated torque gears of all sizes have nearly the same torsion.
     """
     geometry = drive.mesh.geometry
     return {
@@ -28,7 +28,7 @@ def unit_scales(drive: Drive) -> Mapping[str, float]:
 
 
 def of_drive(effects: Sequence[Effect], drive: Drive) -> tuple[Effect, ...]:
-    """Effects with the limits and usual sizes that suit a drive, from those that each states."""
+    """Effects with limits and usual sizes scaled to a drive."""
     scales = unit_scales(drive)
     return tuple(
         replace(

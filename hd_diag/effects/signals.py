@@ -1,4 +1,4 @@
-"""What the effects need to know of a record: its motion, load and the model's own prediction along it."""
+"""Inputs of the effects: a record's motion and load, and the base model's prediction along it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hd_diag.arrays import Floats, Integers
 from hd_diag.effects.contact_weights import ContactWeights, Rows
 
 MISSING_STEPS = 20.0
-"""Usual steps of the time: rows farther apart have others missing between them. Some lost ones are no gap."""
+"""Gap between rows, in usual time steps, from which rows were left out. A few lost samples are no gap."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,7 @@ class Signals:
     speed : ndarray, shape (n,)
         d theta_in / dt of the reported input [rad/s].
     torque : ndarray, shape (n,)
-        On the link [N m]: as reported; behind causes that change it, what the mesh bears.
+        On the link [N m]: as reported, or as the mesh bears it if causes change it.
     temperature : ndarray, shape (n,), or None
         [degC]; None: not measured.
     run : ndarray of int64, shape (n,)
@@ -44,11 +44,11 @@ class Signals:
     predicted_rate : ndarray, shape (n,)
         Its derivative by time [rad/s].
     contact : ContactWeights
-        Its sensitivity to errors of the teeth.
+        Sensitivity of the transmission error to errors of the teeth.
     tooth_ripple : ndarray, shape (n,), or None
-        What errors of the teeth add to the ripple [rad]; None: nothing is known of any.
+        Part of the ripple that errors of the teeth add [rad]; None: no such errors are known.
     recording : ndarray of int64, shape (n,), or None
-        Number of the recording, each with an encoder's zero of its own; None: all are of one.
+        Number of the recording, each with its own encoder zero; None: there is one recording.
     """
 
     time: Floats
@@ -67,7 +67,7 @@ class Signals:
 
     @cached_property
     def kept(self) -> dict[Hashable, Any]:
-        """What effects computed of these samples and will need again, by names of their own."""
+        """Cache for what effects compute from these samples, by keys of their own."""
         return {}
 
     @property
@@ -87,7 +87,7 @@ class Signals:
 
     @property
     def ripple(self) -> Floats:
-        """The gear's own: the base model's, and what errors of the teeth add [rad], shape (n,)."""
+        """Ripple of the gear: the base model's, and what errors of the teeth add [rad], shape (n,)."""
         own = self.contact.ripple
         return own if self.tooth_ripple is None else own + self.tooth_ripple
 
@@ -112,17 +112,17 @@ class Signals:
         return self.contact.flexspline_angle
 
     def bearing(self, torque: Floats) -> Signals:
-        """The same with a mesh that bears another torque (n,) [N m]; the prediction stays."""
+        """These signals with another torque (n,) [N m] in the mesh; the prediction is unchanged."""
         contact = ContactWeights(self.contact.table, self.wave_generator_angle, torque)
         return replace(self, torque=torque, contact=contact)
 
     def part(self, rows: Rows) -> Signals:
-        """Some of the samples, in their order."""
+        """Selected samples, in their order."""
         columns = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "contact"}
         some: Any = {name: None if values is None else values[rows] for name, values in columns.items()}
         return Signals(**some, contact=self.contact.part(rows))
 
     def runs(self) -> list[slice]:
-        """Where each run begins and ends."""
+        """Slice of the samples of each run."""
         edges = [0, *(np.flatnonzero(np.diff(self.run)) + 1).tolist(), self.size]
         return [slice(start, end) for start, end in itertools.pairwise(edges) if end > start]

@@ -12,9 +12,9 @@ from hd_diag.effects.excitation import speed_beyond
 from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.signals import MISSING_STEPS, Signals
 
-_SPEED = 20.0  # [rad/s] of the input: 50 us read a hundredth of an arcmin there at ratio 100
-_POINTS = 4  # of the polynomial between samples: the ripple turns by half a radian from one to the next
-_ABOUT = 2  # samples on either side, where what comes after is known
+_SPEED = 20.0  # least speed of the input [rad/s]: at ratio 100, 50 us read 2 arcsec there
+_POINTS = 4  # points of the interpolating polynomial: the ripple turns by half a radian per sample
+_ABOUT = 2  # samples on either side of the nearest one, if later samples are known
 
 # Times [s] and output angles [rad] of the latest samples.
 State = tuple[Floats, Floats]
@@ -27,21 +27,21 @@ class StreamDelay(Effect):
     """
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
-        """What the output moves in a second; see :meth:`Effect.columns`."""
+        """Negative speed of the output, ripple included [rad/s]; see :meth:`Effect.columns`."""
         return -(signals.speed / signals.ratio + signals.predicted_rate)[:, None]
 
     def response(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
-        """Along a record; see :meth:`Effect.response`.
+        """Response along a record, interpolated from samples on both sides; see :meth:`Effect.response`.
 
-        From samples on both sides: counts of the input's encoder, averaged from one side, would speak for a
-        delay that is none.
+        Interpolation from one side would average the counts of the input's encoder on that side, and imitate
+        a delay.
         """
         delay, found = float(coefficients[0]), np.asarray(self.columns(signals, nonlinear) @ coefficients)
         if delay > 0.0 and signals.size > 1:
             angle = signals.output_angle + signals.predicted
             points, weights = _late(signals, delay)
             begun = np.concatenate([signals.time[run] - signals.time[run][:1] for run in signals.runs()])
-            # Rows that were left out of a long record leave gaps, across which nothing is interpolated.
+            # Do not interpolate across gaps where rows of a long record were left out.
             span = signals.time[points[:, -1]] - signals.time[points[:, 0]]
             near = span < MISSING_STEPS * np.median(np.diff(signals.time))
             late = np.sum(weights * angle[points], axis=1) - angle
@@ -53,7 +53,7 @@ class StreamDelay(Effect):
         return np.empty(0), np.empty(0)
 
     def step(self, state: State, signals: Signals, coefficients: Floats, nonlinear: Values) -> Stepped:
-        """Where the output was a delay ago; see :meth:`Effect.step`."""
+        """Output angle a delay ago less the present one; see :meth:`Effect.step`."""
         delay, now = float(coefficients[0]), signals.output_angle + signals.predicted
         time, angle = np.append(state[0], signals.time), np.append(state[1], now)
         result = self.columns(signals, nonlinear) @ coefficients
@@ -66,10 +66,10 @@ class StreamDelay(Effect):
         return np.asarray(result), (time[kept:], angle[kept:])
 
     def carry(self, signals: Signals, added: Floats, coefficients: Floats, nonlinear: Values) -> Floats:
-        """Late by the delay; see :meth:`Effect.carry`."""
+        """Added parts a delay ago less the present ones; see :meth:`Effect.carry`."""
         delay = float(coefficients[0])
         kept = signals.kept.get("stream_delay")
-        if kept is None or kept[0] != delay:  # of many calls with one delay
+        if kept is None or kept[0] != delay:  # cached, because many calls have one delay
             kept = signals.kept["stream_delay"] = delay, *_late(signals, delay)
         _, points, weights = kept
         result = -added
@@ -79,9 +79,9 @@ class StreamDelay(Effect):
 
 
 def _late(signals: Signals, delay: float) -> tuple[Integers, Floats]:
-    """Rows that each row is interpolated from a delay ago, within its run, and their weights; (n, k) each.
+    """Rows, and their weights, that interpolate a value a delay before each row, within its run; (n, k) each.
 
-    What was before a run is as at its begin; too short a run is not late.
+    Before its run a value is that of the first row. Runs that are too short are not delayed.
     """
     about = np.arange(-_ABOUT, _ABOUT + 1)
     points = np.repeat(np.arange(signals.size)[:, None], about.size, axis=1)
@@ -97,14 +97,14 @@ def _late(signals: Signals, delay: float) -> tuple[Integers, Floats]:
 
 
 def _between(time: Floats, at: Floats) -> tuple[Integers, Floats]:
-    """Numbers of samples about moments, one not before and those before it, and weights; (n, k) each."""
+    """Indices and weights (n, k) of samples around times `at`: the first not before, and those before it."""
     after = np.clip(np.searchsorted(time, at), _POINTS - 1, time.size - 1)
     points = after[:, None] + np.arange(1 - _POINTS, 1)
     return points, _weights(time, at, points)
 
 
 def _weights(time: Floats, at: Floats, points: Integers) -> Floats:
-    """Of the polynomial through some samples (n, k) at moments (n,) (Lagrange)."""
+    """Lagrange weights of the polynomial through samples `points` (n, k), at times `at` (n,) [s]."""
     place, weights = time[points] - at[:, None], np.ones(points.shape)
     for one in range(points.shape[1]):
         for other in range(points.shape[1]):

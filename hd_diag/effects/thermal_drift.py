@@ -14,7 +14,7 @@ from hd_diag.formatting import ARCSEC
 REFERENCE = 20.0
 """Temperature at which the drift is zero [degC]."""
 
-_AT_ONCE = 1e-9  # [s]; no lag
+_AT_ONCE = 1e-9  # least lag [s], as good as none
 
 # Time [s] of the last sample and y [degC]; None before the first temperature.
 State = tuple[float, float] | None
@@ -24,7 +24,7 @@ class ThermalDrift(Effect):
     """``g (y - 20 degC)``, ``tau dy/dt = Theta - y``, settled at first; nothing without a temperature."""
 
     def advance(self, state: State, signals: Signals, nonlinear: Values) -> Stepped:
-        """Let it follow; zero where no temperature is known. See :meth:`Effect.advance`."""
+        """Lagged temperature less `REFERENCE`, zero where none is known; see :meth:`Effect.advance`."""
         heat, time = signals.temperature, signals.time
         known = np.zeros(signals.size, dtype=np.bool_) if heat is None else np.isfinite(heat)
         if heat is None or not known.any():

@@ -18,14 +18,14 @@ SLOT, TOOTH = 0.0, 1.0
 """Member that the damage is on: circular spline or flexspline."""
 
 ARCS = (0.4, 0.7, 1.1)
-"""Of the wave generator's turn [rad], over which the pairs at a lobe share the load: with 15 to 30 % of the
-teeth engaged, as makers state, half of them at either lobe, it is 0.5 to 0.9."""
+"""Arcs of the wave generator's turn over which the pairs at a lobe share the load [rad]. Makers state that 15
+to 30 % of the teeth engage, half of them at either lobe: 0.5 to 0.9."""
 
 _ARC = "of the wave generator's turn, over which the pairs at a lobe share the load; 0: as the contact has it"
-_BINS = 720  # of half a turn
+_BINS = 720  # bins over half a turn
 _CANDIDATES = 2  # positions per member
-_BESIDE = range(-2, 3)  # teeth beside a position that are compared exactly
-_ENOUGH = 5_000  # samples for that, chosen for speed: a pulse is as wide as many teeth
+_BESIDE = range(-2, 3)  # teeth around a position that are compared exactly
+_ENOUGH = 5_000  # samples in that comparison, for speed: a pulse is many teeth wide
 
 
 class ToothDamage(Effect):
@@ -39,7 +39,7 @@ class ToothDamage(Effect):
         return self.slopes(signals, np.zeros(2), nonlinear)
 
     def slopes(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
-        """Mean slopes up to the flanks' clearance: a pair that has parted gives no more."""
+        """Mean slopes up to the flanks' clearance, because a pair that has parted adds nothing more."""
         member, position, arc = nonlinear
         contact, opening = signals.contact, (float(coefficients[0]), float(coefficients[1]))
         if arc:
@@ -49,11 +49,11 @@ class ToothDamage(Effect):
         return one(position, opening)
 
     def step(self, state: Any, signals: Signals, coefficients: Floats, nonlinear: Values) -> Stepped:
-        """At full size; see :meth:`Effect.step`."""
+        """Response at full size; see :meth:`Effect.step`."""
         return np.asarray(self.slopes(signals, coefficients, nonlinear) @ coefficients), state
 
     def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
-        """Slots and teeth with the pulses that fit a residual best; without a residual the first of each."""
+        """Slots and teeth whose pulses fit a residual best; without a residual, position zero of each."""
         geometry = signals.contact.drive.mesh.geometry
         trials = geometry.circular_spline_teeth + geometry.flexspline_teeth
         if residual is None:
@@ -70,7 +70,7 @@ class ToothDamage(Effect):
         return Starts(list(dict.fromkeys(best)), trials)
 
     def _gain(self, signals: Signals, residual: Floats, nonlinear: Values) -> float:
-        """What a slot or tooth explains of the sum of squares of the residual [rad^2]."""
+        """Sum of squares of the residual that a slot or tooth explains [rad^2]."""
         columns = self.columns(signals, nonlinear)
         moment = columns.T @ (residual - residual.mean())
         return float(moment @ np.linalg.lstsq(columns.T @ columns, moment, rcond=None)[0])
@@ -82,7 +82,7 @@ def _seen_from(member: float, signals: Signals) -> Floats:
 
 
 def _share(away: Floats, arc: float) -> Floats:
-    """Load of a pair over the mean of all, at angles from it [rad], (n,): raised cosines at both lobes."""
+    """Load of a pair over the mean of all (n,), by its angle from the lobes [rad]: raised cosines."""
     away = np.mod(away + 0.5 * np.pi, np.pi) - 0.5 * np.pi
     pulse = np.where(np.abs(away) < 0.5 * arc, np.cos(np.pi * away / arc) ** 2, 0.0)
     return np.asarray(2.0 * np.pi / arc * pulse)
@@ -114,7 +114,7 @@ def _positions(signals: Signals, angle: Floats, residual: Floats) -> list[float]
 
 
 def _in_arcs(signals: Signals, angle: Floats, residual: Floats) -> list[tuple[float, float]]:
-    """For every arc [rad] the angle in the member [rad] where a pair fits best, each flank for itself."""
+    """Best angle of a pair in the member and arc [rad], for every arc; the flanks fit separately."""
     place = np.floor(np.mod(angle, np.pi) * (_BINS / np.pi) + 0.5).astype(np.int64) % _BINS
     rest, found = residual - residual.mean(), list[tuple[float, float]]()
     sides = [
@@ -133,7 +133,7 @@ def _in_arcs(signals: Signals, angle: Floats, residual: Floats) -> list[tuple[fl
 
 
 def _correlation(sums: Floats, template: Floats) -> Floats:
-    """Sum over torques and places of sums times the template moved along, shape (bins,)."""
+    """Circular correlation of sums and template (torques, bins), added over torques; (bins,)."""
     product = np.fft.rfft(sums, axis=1) * np.conj(np.fft.rfft(template, axis=1))
     return np.asarray(np.fft.irfft(product.sum(axis=0), template.shape[1]))
 

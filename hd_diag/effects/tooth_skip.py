@@ -11,14 +11,14 @@ from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.signals import Signals
 
 _CANDIDATES = 2
-_APART = 0.02  # of the record: steps nearer than this are one
+_APART = 0.02  # share of the record; steps closer than this count as one
 
 
 class ToothSkip(Effect):
     """``m 2 pi / Z_G`` from a moment on."""
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
-        """One tooth from the moment on; see :meth:`Effect.columns`."""
+        """One pitch from the moment of the skip on; see :meth:`Effect.columns`."""
         pitch = signals.contact.drive.mesh.geometry.slot_pitch
         return np.where(signals.time >= nonlinear[0], pitch, 0.0)[:, None]
 

@@ -1,4 +1,4 @@
-"""A torque sensor in the gear feels the wave generator pass."""
+"""A torque sensor in the gear reports a ripple when the wave generator passes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hd_diag.effects.quantity import Quantity, amplitude, direction, switch, tur
 from hd_diag.effects.signals import Signals
 
 ORDERS = (2, 1, 4)
-"""Of the wave generator's turn: two lobes pass every strain gauge; unequal ones give the others."""
+"""Orders of the wave generator's turn: its two lobes give 2, inequalities give the others."""
 
 
 def _ripple(signals: Signals, nonlinear: Values) -> Floats:

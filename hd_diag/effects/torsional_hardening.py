@@ -12,12 +12,12 @@ from hd_diag.effects.excitation import torque_beyond
 from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.signals import Signals
 
-_FIRST, _SECOND = (0.08, 0.18, 0.35), (0.5, 0.8)  # of the greatest torque
-_WIDTHS = (0.01, 0.5)  # of the knees
-_SHARP = 1e-6  # [N m]; no knee is sharper
-_MOST = 100.0  # times the usual compliance: beyond it no torque comes near the knee
-_PLACES = 24  # torques at which the added compliance is looked at
-_LEAST = 0.25  # of the rated torque, that the record must reach
+_FIRST, _SECOND = (0.08, 0.18, 0.35), (0.5, 0.8)  # start values of the knees over the greatest torque
+_WIDTHS = (0.01, 0.5)  # start widths of the bends over their knees
+_SHARP = 1e-6  # least width of a bend [N m]
+_MOST = 100.0  # greatest added compliance over the usual; beyond it no torque comes near the knee
+_PLACES = 24  # torques at which the added compliance is checked
+_LEAST = 0.25  # share of the rated torque that the record must reach
 
 
 class TorsionalHardening(Effect):
@@ -28,9 +28,9 @@ class TorsionalHardening(Effect):
     """
 
     def sensible(self, coefficients: Floats, nonlinear: Values) -> bool:
-        """Whether the knees are where torques are; see :meth:`Effect.sensible`.
+        """Whether the added compliance is plausible at torques up to the knees; see :meth:`Effect.sensible`.
 
-        Up to them compliances are what a gear can have; wide bends may do so as the difference of two large.
+        The sum is checked, because wide bends may make a small compliance from two large coefficients.
         """
         *knees, width = nonlinear
         torque = np.linspace(0.0, max(knees), _PLACES)
@@ -45,7 +45,7 @@ class TorsionalHardening(Effect):
         return np.stack([-_ramp(signals.torque, knee, width * knee) for knee in knees], axis=1)
 
     def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
-        """Knees within the torques that the record has [N m]."""
+        """Knees within the record's torques [N m], with widths."""
         greatest = float(np.max(np.abs(signals.torque), initial=0.0))
         pairs = [(one * greatest, two * greatest) for one in _FIRST for two in _SECOND]
         return Starts.grid((*pair, width) for pair in pairs for width in _WIDTHS)
@@ -60,7 +60,7 @@ def _step(torque: Floats, knee: float, width: float) -> Floats:
 
 
 def _ramp(torque: Floats, knee: float, width: float) -> Floats:
-    """Integral of a smooth step at both knees, odd in the torque [N m]."""
+    """Smooth ramps beyond plus and minus the knee, odd in the torque [N m]."""
     width = max(width, _SHARP)
     return np.asarray(
         width * (np.logaddexp(0.0, (torque - knee) / width) - np.logaddexp(0.0, (-torque - knee) / width))

@@ -1,4 +1,4 @@
-"""All tooth flanks worn by the same: a wider dead zone."""
+"""All tooth flanks worn equally: a wider dead zone."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ class WearBacklash(Effect):
     """Clearance of every flank grows by the same; first order of a widening dead zone."""
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
-        """Response to more clearance; see :meth:`Effect.columns`."""
+        """Response to added clearance; see :meth:`Effect.columns`."""
         return signals.contact.clearance()[:, None]
 
     def step(self, state: Any, signals: Signals, coefficients: Floats, nonlinear: Values) -> Stepped:
-        """The flanks worn at their full size; see :meth:`Effect.step`."""
+        """Response to flanks worn at full size; see :meth:`Effect.step`."""
         return signals.contact.displaced(clearance=float(coefficients[0])), state
 
 

@@ -1,4 +1,4 @@
-"""Why a joint has no sample, by what arrived in its place."""
+"""Why a joint has no sample, judged by the messages that arrived."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ _SHOWN, _LONGEST = 8, 40  # names, and characters of one
 
 
 def absence_of(joint: str) -> str:
-    """Name of the fact that says why a joint has no sample, if the caller knows."""
+    """Key of the fact by which the caller says why a joint has no sample."""
     return f"absence.{joint}"
 
 
 def absence(joint: Joint, window: Window, lately: Sequence[Arrived]) -> str:
-    """Why a joint has no sample since the last report, in words, by what arrived `lately`."""
+    """Text on why a joint has no sample since the last report, from the names that arrived `lately`."""
     config, signal = joint.config, joint.config.signals.input
     arrived = [each for times in lately for each in times]
     names = dict.fromkeys(name for own, _ in arrived for name in own)
@@ -41,7 +41,7 @@ def absence(joint: Joint, window: Window, lately: Sequence[Arrived]) -> str:
 
 
 def missing(wanted: str, names: Iterable[str], output: str = "") -> str:
-    """Says that a name does not arrive, and names the likely one or those that do."""
+    """Text that a name does not arrive, with the nearest name that does, or all that do."""
     shown = [visible(name, _LONGEST) for name in names]
     near, wanted = nearest(wanted, names), visible(wanted, _LONGEST)
     if near and near == output:

@@ -1,7 +1,7 @@
-"""All joints while they run: joint states in, transmission errors, per-tooth arrays and diagnostics out.
+"""Monitor of all joints: joint states in, transmission errors, per-tooth arrays and diagnostics out.
 
-Nothing here reads a clock. What happens depends on the sequence of calls and their times alone, so a
-recording of them gives the same results again: replay is this same code.
+Nothing here reads a clock. The results depend on the sequence of calls and their times alone, so a recording
+of these gives the same results again. A replay runs this same code.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from hd_diag.monitor.settings import MonitorConfig
 from hd_diag.streams.alignment import Aligned, Alignment, kernel
 from hd_diag.streams.columns import LARGEST_TEMPERATURE, JointStates
 
-# Joints whose per-tooth arrays are of one time: of seven at 1 kHz all work is a sixth less than with one, and
-# holds up messages hardly longer; all seven together hold them up for half as long again.
+# Joints with per-tooth arrays at the same time. With seven joints at 1 kHz this saves a sixth of all work and
+# delays messages hardly more than one joint does. All seven together delay them for half as long again.
 _TOGETHER = 4
 _NEVER = -(2**62)  # number of a period
-# Samples that are taken into the residual's orders at once, for a report may be far: half a millisecond
-# of work, 0.2 us each, where of 256 each takes 0.5.
+# Samples added to the residual's orders at once, since the next report may be far: half a millisecond of
+# work, 0.2 us each; with 256 samples each takes 0.5 us.
 _FOLLOWED = 2048
 
 
 class Monitor:
-    """Monitor of all joints of a configuration; `share` of the per-tooth arrays and drawings is published."""
+    """Monitor of all joints of a configuration; publishes a `share` of per-tooth arrays and drawings."""
 
     def __init__(self, config: MonitorConfig) -> None:
         self.config = config
@@ -85,21 +85,21 @@ class Monitor:
         refused: Sequence[tuple[int, str]] = (),
         heard: Times | None = None,
     ) -> list[Publication]:
-        """Take messages of several layouts and give what is to be published.
+        """Take messages of several layouts and return the publications.
 
-        `received` are their times of arrival (n,) [ns]; the rows of `shapes`, and of messages that cannot be
-        read (row, reason), are positions in it. `heard` are the times of arrival by the clock that silence is
-        measured with (n,) [ns]; the same by default. One message at a time or many at once give the same, to
-        the last bit.
+        `received` are their times of arrival (n,) [ns]. The rows of `shapes`, and of `refused` messages that
+        cannot be read (row, reason), are positions in it. `heard` are the times of arrival by the clock that
+        measures silence (n,) [ns], by default the same. One message at a time or many at once give the same
+        result, to the last bit.
         """
         return self.publications(received, self.errors(received if heard is None else heard, shapes, refused))
 
     def errors(
         self, heard: Times, shapes: Sequence[JointStates], refused: Sequence[tuple[int, str]] = ()
     ) -> Errors:
-        """Take messages as `mixed_states` does; `publications` makes of the errors what is to be published.
+        """Take messages as `mixed_states` does and return errors, which `publications` turns into messages.
 
-        A report may come in between: what is published of many samples together costs less.
+        A report may come in between, because publishing many samples together costs less.
         """
         samples = self.streams.take(heard, shapes, refused)
         if not samples.row.size:
@@ -110,7 +110,7 @@ class Monitor:
         return errors
 
     def publications(self, received: Times, errors: Errors) -> list[Publication]:
-        """What is to be published of errors, whose rows are positions in `received` (n,) [ns]."""
+        """Publications of errors, whose rows are positions in `received` (n,) [ns]."""
         if not errors.predicted.size:
             return []
         return [*angles(received, errors, self._names), *self._teeth(received, errors.samples)]
@@ -127,9 +127,9 @@ class Monitor:
             self.joints[joint].reject(f"temperature is {value}")
 
     def silence(self, now: int) -> dict[str, float]:
-        """Time since each joint's last input by the clock of `heard` [s].
+        """Time since each joint's last input, by the clock of `heard` [s].
 
-        For a joint without any input it counts from the first call on.
+        For a joint without any input the time counts from the first call.
         """
         heard = self.streams.joints["heard"]
         heard[heard < 0] = now
@@ -138,10 +138,10 @@ class Monitor:
     def tick(
         self, now: int, stamp: int, facts: Mapping[str, str], silence: Mapping[str, float] | None = None
     ) -> Report:
-        """Diagnostics of all joints since the last ones: time of the report, header stamp [ns].
+        """Diagnostics of all joints since the last report; `now` is its time, `stamp` its header stamp [ns].
 
-        `facts` is what the surroundings know, such as ``log_state``; `silence` how long each joint has been
-        silent by a clock of its own [s], None to take the time of the report.
+        `facts` come from the caller, such as ``log_state``. `silence` is the time since each joint's last
+        input by a clock of the caller [s]; None takes the time of the report.
         """
         silent = self.silence(now) if silence is None else silence
         pairs = zip(self.joints.values(), self._windows(), strict=True)
@@ -150,14 +150,14 @@ class Monitor:
         return Report("/diagnostics", now, stamp, tuple(statuses), facts, silent)
 
     def begin_window(self) -> None:
-        """Drop what was kept for the next report."""
+        """Drop the samples kept for the next report."""
         self._windows()
 
     def _windows(self) -> list[Window]:
-        """What happened to each joint since the last report."""
+        """Window of each joint since the last report."""
         self._follow()
         kept = self._comparison.kept
-        joints = enumerate(self.joints.values())  # compress: of records four times as fast as a mask
+        joints = enumerate(self.joints.values())  # compress is four times as fast as a mask for records
         windows = [joint.window(kept.compress(kept["joint"] == n)) for n, joint in joints]
         self._comparison.count = self._comparison.followed = 0
         self.streams.turn()
@@ -177,13 +177,13 @@ class Monitor:
         for rate, last, is_drawn in zip(rates, self.periods, (False, True), strict=True):
             if rate > 0.0:
                 period = round(1e9 / (rate * self.share))
-                # A few joints' periods begin together, which costs less; those of all would hold up messages.
+                # Periods of a few joints begin together, which costs less; all at once would delay messages.
                 groups = -(-last.size // _TOGETHER)
                 offset = period * (np.arange(last.size) // _TOGETHER) // groups
                 self._periods.append((period, offset, last, is_drawn))
 
     def _by_models(self, samples: Aligned) -> list[Floats]:
-        """Predicted errors [rad] and speeds [rad/s] where some joints have extended models."""
+        """Predicted errors [rad] and speeds [rad/s] (m,) if some joints have extended models, else none."""
         modelled = [(number, joint) for number, joint in enumerate(self.joints.values()) if joint.runs]
         if not modelled:
             return []
@@ -194,7 +194,7 @@ class Monitor:
         return [predicted, speed]
 
     def _teeth(self, received: Times, samples: Aligned) -> Iterator[Publication]:
-        """Per-tooth arrays and drawings where a period of their rates has begun."""
+        """Per-tooth arrays and drawings for samples that begin a period of their rates."""
         for period, offset, last, is_drawn in self._periods:
             rows = kernel().begun(samples.stamp, samples.joint, samples.paired, period, offset, last)
             for number in np.unique(samples.joint[rows]).tolist() if rows.size else ():
@@ -213,7 +213,7 @@ class Monitor:
 
 
 def warm_up(config: MonitorConfig) -> None:
-    """Compile, or read from the disk, what the first message would have to wait for."""
+    """Compile all that the first message needs, or read it from the disk."""
     monitor, time = Monitor(config), np.zeros(1, np.int64)
     names = [(joint.input_joint, joint.output_joint) for joint in config.joints]
     nothing = np.zeros((1, 2 * len(names)))

@@ -1,4 +1,4 @@
-"""State of a monitor as JSON has it: a log that goes on where another ended begins with it."""
+"""State of a monitor as JSON: a log that continues another one begins with it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _COUNTERS = ("inputs", "first", "waiting", "samples", "rejected", "unpaired", "c
 
 
 def carried(monitor: Monitor) -> dict[str, Any]:
-    """What a monitor knows right after `Monitor.begin_window`, beside its configuration and maps."""
+    """State of a monitor right after `Monitor.begin_window`, without its configuration and maps."""
     streams = monitor.streams
     return {
         "streams": [_text(array) for array in streams.state],
@@ -31,16 +31,16 @@ def carried(monitor: Monitor) -> dict[str, Any]:
 
 
 def carry_on(monitor: Monitor, state: Mapping[str, Any]) -> None:
-    """Let a monitor of the same configuration go on from what another knew.
+    """Let a monitor of the same configuration continue from the state of another.
 
     Raises
     ------
     ValueError
-        Where it cannot.
+        If the state does not fit the monitor.
     """
     try:
         _put(monitor, state)
-    except Exception as error:  # whatever hostile numbers make of a model
+    except Exception as error:  # hostile numbers may raise anything in a model
         raise ValueError(f"its state is none of these joints: {error}") from error
 
 
@@ -103,5 +103,5 @@ def _text(array: npt.NDArray[Any]) -> str:
 
 
 def _array(text: str, like: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Array of the shape and type of another."""
+    """Array from its text, with the shape and type of another."""
     return np.frombuffer(base64.b64decode(text), like.dtype).reshape(like.shape).copy()

@@ -48,7 +48,7 @@ class Errors(NamedTuple):
 
 
 def together(parts: Sequence[tuple[int, Errors]]) -> Errors:
-    """Errors of messages that were taken in parts, each with the position at which its rows begin."""
+    """Errors of messages taken in parts, joined; each part has the position at which its rows begin."""
     if len(parts) == 1 and parts[0][0] == 0:
         return parts[0][1]
     rows = np.concatenate([errors.samples.row + begin for begin, errors in parts])
@@ -58,9 +58,9 @@ def together(parts: Sequence[tuple[int, Errors]]) -> Errors:
 
 
 class Comparison:
-    """Errors of samples of k joints, by their models, else by their drives.
+    """Errors of samples of k joints, predicted by their models, or else by their drives.
 
-    `count` samples are kept, `followed` of them the orders of the residual hold.
+    `count` samples are kept; the orders of the residual contain the first `followed` of them.
     """
 
     def __init__(self) -> None:
@@ -69,12 +69,12 @@ class Comparison:
 
     @property
     def kept(self) -> Any:
-        """Samples since the last report, as records."""
+        """Samples since the last report, as records of `SAMPLE`."""
         return self._kept[: self.count]
 
     def use(self, joints: Sequence[Joint]) -> None:
-        """Predict as the joints are configured, by the maps they have, from the next sample on."""
-        self._tables = [None if joint.runs else joint.table for joint in joints]  # places are in them
+        """Predict by the joints' present configurations and maps from the next sample on."""
+        self._tables = [None if joint.runs else joint.table for joint in joints]  # `place` points into them
         self._drives = {n: joint.config.drive for n, joint in enumerate(joints) if not joint.runs}
         frames = [astuple(joint.config.drive.frame) for joint in joints]
         places = [_NO_MAP if table is None else table.place for table in self._tables]
@@ -82,7 +82,7 @@ class Comparison:
         self._records = np.array([frame + place for frame, place in both], _DRIVE)
 
     def errors(self, samples: Aligned, known: Floats = _NOTHING, speed: Floats | None = None) -> Errors:
-        """Errors of samples, with predictions [rad] and speeds [rad/s] if a model has them already."""
+        """Errors of samples, with predictions [rad] and speeds [rad/s] if models have made them already."""
         last = self.count + samples.row.size
         if last > self._kept.size:
             kept, self._kept = self.kept, np.empty(2 * last, SAMPLE)
@@ -99,7 +99,7 @@ class Comparison:
         return Errors(samples, *found)
 
     def _solve(self, samples: Aligned, predicted: Floats) -> None:
-        """Set the errors that no map gives."""
+        """Solve the predictions that no map gives, in place."""
         missing = np.isnan(predicted)
         for number, drive in self._drives.items():
             rows = np.flatnonzero(missing & (samples.joint == number))
@@ -108,7 +108,7 @@ class Comparison:
 
 @functools.cache
 def kernel() -> ModuleType:
-    """What is compiled, imported when first needed."""
+    """The compiled kernels, imported when first needed."""
     from hd_diag.monitor import kernel as compiled
 
     return compiled

@@ -1,4 +1,4 @@
-"""Verdict on one joint since the last report: fault codes, limits, and the numbers behind them."""
+"""Health of one joint since the last report: fault codes, limits, and the numbers behind them."""
 
 from __future__ import annotations
 
@@ -34,17 +34,17 @@ FAULT_CODES = (
     "LOG_FAILED",
     "OK",
 )
-"""Fault codes; of several at the same level the first is reported."""
+"""Fault codes; among several at the same level the first is reported."""
 
 _ARCMIN = 60.0 * ARCSEC
-# Angles over one turn of the wave generator from which the peak-to-peak error is taken: enough for the low
-# orders that an eccentricity causes, and coprime with the tooth numbers so that the ripple is met as well.
+# Angles over one turn of the wave generator for the peak-to-peak error: enough for the low orders of an
+# eccentricity, and coprime with the tooth numbers so that they sample the ripple as well.
 _ANGLES_OF_TURN = 257
 _ANGLES_WITHOUT_MAP = 61
 _RARE = 0.05  # share of the samples that may lie outside a model's range on either side
-_MARGIN = 0.05  # of a range: a fit holds so far beyond what it was fitted to
-_KELVIN = 2.0  # the same, of a temperature [K]
-# What is usual of an order that repeats.
+_MARGIN = 0.05  # share of a range by which a fit holds beyond it
+_KELVIN = 2.0  # the same for a temperature [K]
+# Typical causes of an order that repeats.
 _TYPICAL = {
     "input 1": "typical of an input encoder or coupling off centre, or of a wave generator that runs out",
     "input 2": "typical of a wave generator off centre (eccentricity) or of a pitch error",
@@ -74,7 +74,7 @@ _SURROUNDINGS = {
     "log_memory_bytes": "0",
     "diagnosis_state": "none",
 }
-_OF_JOINT = ("verdict", "verdict_time")  # facts with the joint's name behind a dot
+_OF_JOINT = ("verdict", "verdict_time")  # facts whose keys end with a dot and the joint's name
 
 Fault = tuple[str, int, str]
 
@@ -82,10 +82,10 @@ Fault = tuple[str, int, str]
 def status(
     joint: Joint, window: Window, silence: float, facts: Mapping[str, str], streams: Alignment
 ) -> Status:
-    """Status of a joint by what happened since the last report.
+    """Status of a joint from its window since the last report.
 
     It has the fault code of the worst finding, and numbers in the units that their keys name. `silence` is
-    the time since the joint's last input [s], `facts` is what the surroundings know.
+    the time since the joint's last input [s], `facts` are those of the caller.
     """
     config, state, residuals = joint.config, joint.state, window.residual
     angle, torque = (state["angle"], state["load"]) if joint.samples else (math.nan, math.nan)
@@ -99,7 +99,7 @@ def status(
     faults += [*_order_faults(joint, orders), *of_log]
     faults = [*(fault for fault in faults if fault[1]), ("OK", 0, "OK")]
     code, level, message = max(faults, key=lambda fault: (fault[1], -FAULT_CODES.index(fault[0])))
-    others = [window.others] if window.others else []  # a worse fault may come of them
+    others = [window.others] if window.others else []  # they may cause a worse fault
     message = "; ".join(dict.fromkeys([message, *others, *(text for _, _, text in of_log)]))
     drive, table = config.drive, joint.table
     values: dict[str, str | float] = {
@@ -185,14 +185,14 @@ def _faults(
 
 
 def _log_faults(facts: Mapping[str, str]) -> list[Fault]:
-    """What is wrong with the log. It belongs to no joint and never replaces a joint's own fault."""
+    """Faults of the log. They belong to no joint and never replace a joint's own fault."""
     state, warning = facts.get("log_state", ""), facts.get("log_warning", "")
     texts = [f"log {state}"] if state.startswith("failed") else []
     return [("LOG_FAILED", 1, text) for text in [*texts, *([f"log: {warning}"] if warning else [])]]
 
 
 def _interference(loads: _Loads) -> str:
-    """How far the lobes overlap, and what that does to the teeth."""
+    """Text on how far the lobes overlap, and what that does to the teeth."""
     return (
         f"the lobes overlap by {loads.real.overlap * 1e6:.1f} µm; they press a tooth with "
         f"{loads.real.idle:.0f} N without torque; at the rated torque it bears {loads.real.rated:.0f} N, not "
@@ -202,7 +202,7 @@ def _interference(loads: _Loads) -> str:
 
 
 class _Loads(NamedTuple):
-    """What a joint's teeth bear as it is assembled, and as if centred; the limit of a tooth's load [N]."""
+    """Tooth loads of a joint as assembled (`real`) and if centred (`even`), and their limit [N]."""
 
     real: ToothLoads
     even: ToothLoads
@@ -210,7 +210,7 @@ class _Loads(NamedTuple):
 
     @property
     def margin_lost(self) -> float:
-        """Share of the tooth load's margin at the rated torque that eccentricity and tilt take."""
+        """Share of the tooth load's margin at the rated torque that eccentricity, runout and tilt take."""
         margin = self.limit - self.even.rated
         return (self.real.rated - self.even.rated) / margin if margin > 0.0 else math.nan
 
@@ -221,15 +221,15 @@ def _loads(joint: Joint) -> _Loads:
 
 @lru_cache(maxsize=512)
 def _both_loads(drive: Drive) -> tuple[ToothLoads, ToothLoads]:
-    """What the teeth of a drive bear, and what they would without eccentricity and tilt."""
+    """Tooth loads of a drive, as it is and without eccentricity, runout and tilt."""
     centred = replace(drive.mesh, eccentricity=0.0, runout=0.0, tilt=0.0)
     return tooth_loads(drive), tooth_loads(replace(drive, mesh=centred))
 
 
 def _order_faults(joint: Joint, orders: Sequence[Order]) -> list[Fault]:
-    """Orders that repeat, and of an extended model those of the output that have grown since it was fitted.
+    """Faults of orders that repeat; with an extended model, also of output orders grown since its fit.
 
-    Without one the output's own order is no finding: a torque that goes with the link's angle has it too.
+    Without a model the output's order is no finding: a torque that follows the link's angle has it too.
     """
     limit, known = joint.config.limits["residual_order"], joint.config.model is not None
     return [
@@ -240,7 +240,7 @@ def _order_faults(joint: Joint, orders: Sequence[Order]) -> list[Fault]:
 
 
 def _order_in_words(order: Order, has_model: bool) -> str:
-    """An order in words."""
+    """Text on one order."""
     times = _TIMES.get(order.number, f"{order.number} times")
     grown = " has grown since the model was fitted: it" if has_model else ""
     return (
@@ -250,7 +250,7 @@ def _order_in_words(order: Order, has_model: bool) -> str:
 
 
 def _model_faults(joint: Joint, window: Window) -> list[Fault]:
-    """Where an extended model is outside its valid range."""
+    """Faults of an extended model that is used outside its valid range."""
     model = joint.config.model
     if model is None:
         return []
@@ -266,7 +266,7 @@ def _model_faults(joint: Joint, window: Window) -> list[Fault]:
 
 
 def _outside(name: str, values: Floats, limits: Range | None, unit: str, margin: float = 0.0) -> str:
-    """How a quantity left its range since the last report; single samples are noise. Empty if it did not."""
+    """Text on how a quantity left its range since the last report, noise ignored; empty if it did not."""
     values = values[np.isfinite(values)]
     if limits is None or not values.size:
         return ""
@@ -289,7 +289,10 @@ def _model_values(joint: Joint) -> dict[str, str]:
 
 
 def _mesh(joint: Joint) -> dict[str, float]:
-    """The teeth at the last sample, the predicted error over a turn at its torque; nan before the first."""
+    """Values of the teeth at the last sample, and the predicted peak-to-peak error over a turn at its torque.
+
+    All are nan before the first sample.
+    """
     if not joint.samples:
         return dict.fromkeys(_MESH, math.nan)
     drive, table = joint.config.drive, joint.table

@@ -1,4 +1,4 @@
-"""One joint while it runs: its configuration and map, what is known of its sender and of its residual."""
+"""One joint while it runs: its configuration and map, its lost samples and the orders of its residual."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from hd_diag.streams.no_torque import no_torque
 from hd_diag.streams.rules import CLOCK_JUMP
 from hd_diag.streams.second_publisher import other_rows
 
-_JUDGED_AT_LEAST = 8  # stamps, for their usual step
+_JUDGED_AT_LEAST = 8  # least stamps from which their usual step is estimated
 _STEPS_TOGETHER = 32
 _KEPT = 0.02  # relative spread of the steps of a periodic sender [-]
 _OFF_MULTIPLE = 0.25  # allowed difference of a step from whole periods [-]
-_TURN = 2.0 * math.pi + 1e-6  # of an encoder that wraps [rad]
-_SAME = 0.9  # share of steps that are alike: the period is another now
-_SHORT = 0.5  # of a period, below which a step makes up for a delay
-_IN_BURSTS = 8.0  # times the usual step, that the mean one is only in bursts: a reader loses less than 7 of 8
+_TURN = 2.0 * math.pi + 1e-6  # greatest range of an encoder that wraps [rad]
+_SAME = 0.9  # share of equal steps from which the period has changed
+_SHORT = 0.5  # share of a period below which a step makes up for a delay
+_IN_BURSTS = 8.0  # mean over usual step that means bursts: a reader loses less than 7 of 8
 
 
 class Window(NamedTuple):
-    """What happened to a joint since the last report.
+    """Samples of a joint since the last report.
 
-    Stamps of the inputs [ns]; residuals where an output angle was reported [rad]; torques [N m] and speeds
-    [rad/s] of all samples that a model predicted; how many samples were accepted and rejected; what is to be
-    said of those of a second publisher.
+    `stamps` of the inputs [ns]; `residual` of samples with an output angle [rad]; `torque` [N m] and `speed`
+    [rad/s] of samples with a known speed; numbers of `accepted` and `rejected` samples; `others` is a text on
+    samples of a second publisher, or empty.
     """
 
     stamps: Times
@@ -45,9 +45,9 @@ class Window(NamedTuple):
 
 
 class LostSamples:
-    """Count of a joint's lost samples: jitter adds and takes away steps, a loss only adds.
+    """Count of a joint's lost samples: jitter makes steps longer and shorter, a loss only longer.
 
-    `usual_step` is the period of the sender [ns]; 0 while it is not known.
+    `usual_step` is the period of the sender [ns], 0 while it is unknown.
     """
 
     def __init__(self) -> None:
@@ -58,18 +58,18 @@ class LostSamples:
     def judge(self, stamps: Times, rejected: int) -> None:
         """Count the samples that are missing between further stamps (n,) [ns], once there are enough.
 
-        Samples that a delayed sender sends after the next call were not lost: their count is taken back.
-        Samples that came and were `rejected` are not counted.
+        If a delayed sender sends samples after the next call, these were not lost and their count is taken
+        back. Samples that came and were `rejected` are not counted.
         """
         self.unjudged = np.concatenate((self.unjudged, stamps))
         if self.unjudged.size < _JUDGED_AT_LEAST:
             return
         steps = np.diff(self.unjudged).astype(np.float64)
-        steps = steps[(steps > 0.0) & (steps < CLOCK_JUMP)]  # no clock that was set, no pause of the sender
+        steps = steps[(steps > 0.0) & (steps < CLOCK_JUMP)]  # without clock changes and pauses
         self.unjudged = self.unjudged[-1:]
         self.usual_step = usual = _known_step(steps, self.usual_step) or _usual_step(steps)
         if usual > 0.0:
-            # At most as many as the long steps say, and as the whole time says: short steps make up for some.
+            # Limited by the long steps and by the whole time, since short steps make up for some.
             missing = np.sum(np.rint(steps[steps > 1.5 * usual] / usual) - 1.0)
             net = int(np.rint(np.sum(steps) / usual)) - steps.size
             count = max(0, min(int(missing), net) - rejected)
@@ -78,10 +78,10 @@ class LostSamples:
 
 
 def _known_step(steps: Floats, known: float) -> float:
-    """The period known so far [ns], where a reader that falls behind lets samples of it through; else 0.
+    """The known period [ns] if it still holds despite losses or bursts; else 0.
 
-    Then most samples may be lost: nearly all steps are multiples of the period, and not all the same. Where a
-    sender that is held up sends what it has at once, most steps are short, and the mean is as it was.
+    A reader that falls behind may lose most samples: nearly all steps are then multiples of the period, and
+    not all equal. A sender that is held up sends bursts: most steps are then short, with the same mean.
     """
     in_bursts = 2 * np.sum(steps < _SHORT * known) > steps.size
     if known > 0.0 and in_bursts and float(np.mean(steps)) > _SHORT * known:
@@ -95,13 +95,13 @@ def _known_step(steps: Floats, known: float) -> float:
 
 
 def _usual_step(steps: Floats) -> float:
-    """Period of a sender [ns]: over several steps, for one that makes up for its delays has short ones."""
+    """Period of a sender [ns], over several steps, because a sender makes up for delays by short steps."""
     if not steps.size:
         return 0.0
     span = max(1, min(_STEPS_TOGETHER, steps.size // 2))
     time = np.append(0.0, np.cumsum(steps))
     usual = _median(time[span:] - time[:-span]) / span
-    # With many losses there is one in most spans; where the sender keeps its period a single step tells it.
+    # With many losses most spans have one; a sender that keeps its period shows it in single steps.
     single = _median(steps)
     is_kept = np.sum(np.abs(steps - single) < _KEPT * single) > 0.5 * steps.size
     mean = float(np.mean(steps))
@@ -119,10 +119,10 @@ def _median(values: Floats) -> float:
 
 
 class Joint:
-    """State of one joint, by its number in the alignment of all.
+    """State of one joint, by its number in the alignment of all joints.
 
-    `table` is the map in force, `temperature` the last reported [degree Celsius], `runs` are those of its
-    model, of the inputs and of outputs that come apart; empty without one.
+    `table` is the map in force, `temperature` the last reported one [degree Celsius]. `runs` are two runs of
+    the joint's model, for the inputs and for separate outputs; empty without a model.
     """
 
     def __init__(self, config: JointConfig, streams: Alignment, number: int) -> None:
@@ -138,17 +138,17 @@ class Joint:
 
     @property
     def state(self) -> Any:
-        """What the streams know of it: a record of `JOINT`."""
+        """The joint's state in the streams: a record of `JOINT`."""
         return self._streams.joints[self._number]
 
     @property
     def samples(self) -> int:
-        """Input angles taken so far."""
+        """Number of input angles taken so far."""
         return int(self.state["samples"])
 
     @property
     def rejected(self) -> int:
-        """Samples that could not be used."""
+        """Number of samples that could not be used."""
         return int(self.state["rejected"])
 
     @property
@@ -176,7 +176,7 @@ class Joint:
         self.runs = () if model is None else (ModelRun(model), ModelRun(model))
 
     def window(self, kept: Any) -> Window:
-        """What happened since the last report, of the joint's samples since then, as `Comparison.kept`."""
+        """Window since the last report, from the joint's samples since then, records as `Comparison.kept`."""
         before, self._reported = self._reported, self.state.copy()
         accepted, rejected = (int(self._reported[n] - before[n]) for n in ("samples", "rejected"))
         stamps, is_modelled = kept["stamp"][kept["paired"] == 0], np.isfinite(kept["speed"])
@@ -186,7 +186,7 @@ class Joint:
         return Window(stamps, residual, *modelled, accepted, rejected, self._others(kept))
 
     def _others(self, kept: Any) -> str:
-        """What is to be said of a second publisher's samples; nothing where the input is integrated."""
+        """Sentence on samples of a second publisher; empty if there are none or the input is integrated."""
         own = kept.compress(kept["paired"] == 0)
         if not own.size or self.config.signals.is_velocity:
             return ""
@@ -201,7 +201,7 @@ class Joint:
 
     @property
     def no_torque(self) -> str:
-        """What the reported torque is where nothing measured it; empty before the first half turn."""
+        """Why the reported torque was not measured; empty if it was, and before the first half turn."""
         seen = self._streams.encoders[self._number][0]
         turned = seen["high"] - seen["low"] > 0.5 * _TURN
         least, most = float(self.state["least_torque"]), float(self.state["most_torque"])

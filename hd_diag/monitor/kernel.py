@@ -26,11 +26,11 @@ def compare(
     kept: Any,
     count: int,
 ) -> tuple[Floats, int]:
-    """Errors (3, m) of samples, columns as in `Aligned`: predicted, measured and the difference [rad].
+    """Errors (3, m) of samples: predicted, measured and the difference [rad]; and how many are not predicted.
 
-    Predicted is what is `known` (m,) [rad], which may be empty; where that is nan, what the maps of the
-    `drives` (`DRIVE`) give. The samples are put into `kept` (`SAMPLE`), from `count` on. How many predictions
-    are still missing is returned too.
+    The samples are columns as in `Aligned`. Predictions are those `known` (m,) [rad], which may be empty.
+    Where these are nan, the maps of the `drives` (records of `_DRIVE`) predict. The samples are written into
+    `kept` (records of `SAMPLE`), from index `count` on.
     """
     size, missing = joint.size, 0
     errors = np.empty((3, size))
@@ -52,7 +52,7 @@ def compare(
 
 @part
 def _predict(joint: Integers, input_angle: Floats, torque: Floats, drives: Any, predicted: Floats) -> None:
-    """As `drive.transmission_error` by each joint's map, if it has one, where predicted is nan."""
+    """Fill predictions that are nan as `drive.transmission_error` does, for joints that have a map."""
     rows, turn = np.empty(joint.size, np.int64), np.empty(joint.size)
     load, beta = np.empty(joint.size), np.empty(joint.size)
     for j in range(drives.size):

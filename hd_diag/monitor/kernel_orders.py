@@ -10,20 +10,20 @@ import numpy as np
 from hd_diag.arrays import Floats, Times
 from hd_diag.model.kernel.compiler import entry_point, part
 
-# After such a way of the input [rad] and time of motion [s] an order's past counts for 1/e.
+# Way of the input [rad] and time of motion [s] over which an order's past decays to 1/e.
 FORGOTTEN_WAY, FORGOTTEN_TIME = 64 * 2.0 * math.pi, 30.0
-_WINDOW = 2 * 2.0 * math.pi  # way of the input over which a wave is separated from what is slow [rad]
-_LEAST_SAMPLES = 32.0  # in a window, of nine numbers
-_LEAST_INFORMATION = 0.2  # of a cosine over many turns 0.5 is left beside the rest, over one and a half 0.2
-_RIDGE = 1e-6  # keeps orders that do not move from spoiling the others
-_LOADED = 0.5  # mean torque over its mean size: above it a window is of one side
-_FEWEST_WINDOWS, _FEWEST_SAMPLES = 4.0, 200.0  # an order needs so many to be reported
-# An order repeats where its windows agree: the mean wave has at least half of their power, and more of it
-# than noise has by chance. Of k waves of noise that share is above r with probability (1 - r)^(k - 1).
+_WINDOW = 2 * 2.0 * math.pi  # way of the input over which waves are separated from slow changes [rad]
+_LEAST_SAMPLES = 32.0  # samples per window, for nine unknowns
+_LEAST_INFORMATION = 0.2  # per sample: a fitted cosine has 0.5 over many turns, 0.2 over one and a half
+_RIDGE = 1e-6  # regularisation, so that orders without motion do not spoil the others
+_LOADED = 0.5  # mean torque over its mean magnitude, above which a window loads one side
+_FEWEST_WINDOWS, _FEWEST_SAMPLES = 4.0, 200.0  # least windows and samples to report an order
+# An order repeats if its windows agree: the mean wave has at least half of their power, and a larger share
+# than noise has by chance. For k waves of noise the share exceeds r with probability (1 - r)^(k - 1).
 _STEADY, _STEADY_WINDOWS = 0.5, 12.0
 _CHANCE = 1e-6
-_LONGEST_STEP = 0.1  # of motion between two samples [s]; longer ones are gaps
-_SLOWEST = 0.05  # of the input [rad/s]; slower is rest
+_LONGEST_STEP = 0.1  # longest step between two samples [s]; longer ones are gaps
+_SLOWEST = 0.05  # least speed of the input [rad/s]; slower is rest
 
 
 @entry_point
@@ -41,12 +41,13 @@ def follow(
 ) -> None:
     """Follow the orders in `residual_orders.ORDERS` over windows of motion.
 
-    Samples are records of `SAMPLE`; those of other joints, and those without an output angle, are left out.
-    All but the samples change. `last` is the input angle of the sample before, `step` its stamp,
-    nan and 0 before the first. Of the present window: `gram` (9, 9), `moment` (9,) and, in `window` (7,),
-    first residual and angle, way, time, sums of torque, its size and output angle. Of those before:
-    `waves` (sides, orders, 5), sums of weights, of their squares, of waves (x, y) and of their power, and
-    `output` (3, 3) and `means` (3,), those of the output's order.
+    `samples` are records of `SAMPLE`; those of other joints, and those without an output angle, are skipped.
+    All arguments except for `samples` and `joint` are updated. `last` is the input angle of the previous
+    sample, `step` its stamp, nan and 0 before the first. `gram` (9, 9) and `moment` (9,) are the normal
+    equations of the present window; `window` (7,) holds its first residual and angle, way, time, and sums of
+    torque, torque's magnitude and output angle. `waves` (sides, orders, 5) has sums over earlier windows:
+    weights, their squares, waves (x, y) and their power. `output` (3, 3) and `means` (3,) are the normal
+    equations of the output's order.
     """
     terms = np.ones(9)
     for i in range(samples.size):
@@ -57,7 +58,7 @@ def follow(
         elapsed, turned = (sample.stamp - step[0]) * 1e-9, abs(angle - last[0])
         last[0], step[0] = angle, sample.stamp
         if not 0.0 < elapsed <= _LONGEST_STEP:
-            _empty(gram, moment, window)  # what was lost between is not known
+            _empty(gram, moment, window)  # samples may be lost in between
         if not (elapsed > 0.0 and turned > _SLOWEST * min(elapsed, _LONGEST_STEP)):
             continue
         if not math.isfinite(residual):
@@ -86,7 +87,7 @@ def _empty(gram: Floats, moment: Floats, window: Floats) -> None:
 def _add(
     terms: Floats, gram: Floats, moment: Floats, angle: float, from_first: float, residual: float
 ) -> None:
-    """Add a sample to a window's sums: a parabola of the angle for what is slow, cosines and sines."""
+    """Add a sample to a window's normal equations: a parabola of the angle, then cosines and sines."""
     terms[1] = from_first / _WINDOW
     terms[2] = terms[1] * terms[1]
     terms[3], terms[6] = math.cos(angle), math.sin(angle)
@@ -103,7 +104,7 @@ def _add(
 def _close(
     gram: Floats, moment: Floats, window: Floats, waves: Floats, output: Floats, means: Floats
 ) -> None:
-    """Add a window's results: each order's wave, by the side that the torque loads, and the mean."""
+    """Add a window's results: each order's wave, to the side that the torque loads, and its mean residual."""
     kept = math.exp(-min(window[2] / FORGOTTEN_WAY, window[3] / FORGOTTEN_TIME))
     loaded = window[4] / window[5] if window[5] > 0.0 else 0.0
     side = 1 if loaded > _LOADED else 2 if loaded < -_LOADED else 0
@@ -128,13 +129,13 @@ def _close(
 
 @part
 def _inverse(gram: Floats) -> Floats:
-    """Inverse of normal equations, given by their lower triangle with the number of samples first.
+    """Inverse of normal equations, given by their lower triangle; element (0, 0) is the number of samples.
 
-    By Gauss and Jordan: for numpy's inverse numba loads scipy.linalg, which takes 17 MB.
+    By Gauss-Jordan elimination: for numpy's inverse numba loads scipy.linalg, which takes 17 MB.
     """
     found = np.eye(gram.shape[0])
     left = np.tril(gram) + np.tril(gram, -1).T + _RIDGE * max(gram[0, 0], 1.0) * found
-    for j in range(found.shape[0]):  # positive definite: no pivots are sought
+    for j in range(found.shape[0]):  # positive definite: no pivoting is needed
         pivot = left[j, j]
         left[j] /= pivot
         found[j] /= pivot
@@ -148,16 +149,16 @@ def _inverse(gram: Floats) -> Floats:
 
 @part
 def _is_known(inverse: Floats, count: float, c: int, s: int) -> bool:
-    """Whether the motion shows an order: by the greater eigenvalue, of the direction that is known least."""
+    """Whether the motion shows an order, by the largest variance of its cosine and sine coefficients."""
     half, mean = 0.5 * (inverse[c, c] - inverse[s, s]), 0.5 * (inverse[c, c] + inverse[s, s])
     return bool((mean + math.hypot(half, inverse[c, s])) * count * _LEAST_INFORMATION < 1.0)
 
 
 @entry_point
 def look(waves: Floats, output: Floats, means: Floats) -> Floats:
-    """Amplitude, phase, standard deviation, whether it repeats (4, 4) of each order; nan: not known.
+    """Amplitude, phase, standard deviation and whether it repeats, for each order (4, 4); nan: unknown.
 
-    Of the sides it is the one where the order repeats, else where it is larger.
+    They are of the side on which the order repeats, or else is larger.
     """
     found = np.full((4, 4), math.nan)
     found[:, 3] = 0.0

@@ -1,4 +1,4 @@
-"""An extended model along a joint's stream of samples."""
+"""Runs an extended model along a joint's stream of samples."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hd_diag.streams.alignment import Aligned
 
 
 class ModelRun:
-    """State of a model; it starts again with every stretch of samples."""
+    """A model and its state, which starts again with every stretch of samples."""
 
     def __init__(self, model: ExtendedModel) -> None:
         self._model = model
@@ -26,7 +26,7 @@ class ModelRun:
     ) -> tuple[Floats, Floats]:
         """Transmission error [rad] and speed of the input [rad/s] of the next samples, shape (m,) each.
 
-        Row by row: array arithmetic may round differently with other lengths, and a replay has them.
+        Row by row, because array arithmetic may round differently with the other lengths of a replay.
         """
         error, speed = np.empty(samples.stamp.size), np.empty(samples.stamp.size)
         heat = np.array([temperature])
@@ -43,11 +43,11 @@ class ModelRun:
 
     @property
     def carried(self) -> Any:
-        """What goes on in another log, as JSON has it."""
+        """State for another log to continue from, as JSON."""
         return [self._stretch, self._first, _plain(self._state)]
 
     def carry_on(self, carried: Any) -> None:
-        """Go on from `carried`; raises an Exception of any kind where it is of no run of this model."""
+        """Continue from `carried`; raises an Exception of any kind if it does not fit this model."""
         stretch, first, plain = carried
         state = State(*_state(plain))
         nothing = np.zeros(1)
@@ -56,7 +56,7 @@ class ModelRun:
 
 
 def _plain(value: Any) -> Any:
-    """Numbers, arrays and tuples of them as JSON has them."""
+    """Numbers, arrays and tuples of them in the form of JSON."""
     if isinstance(value, np.ndarray):
         return {"array": [_plain(item) for item in value.tolist()]}
     if isinstance(value, complex):

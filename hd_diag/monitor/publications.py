@@ -1,4 +1,4 @@
-"""What leaves a monitor: angles, per-tooth arrays, drawings and diagnostics. Times: int64 [ns]."""
+"""Outputs of a monitor: angles, per-tooth arrays, drawings and diagnostics. Times: int64 [ns]."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Angles(NamedTuple):
 
 
 class Stamps(NamedTuple):
-    """Which samples arrays are of: topic, time of the cause [ns] (n,), stamp [ns] (n,), the joint."""
+    """Stamps of per-tooth arrays: topic, time of the cause [ns] (n,), stamp [ns] (n,), joint."""
 
     topic: str
     received: Times
@@ -44,10 +44,10 @@ class ToothArrays(NamedTuple):
 
 
 class Drawings(NamedTuple):
-    """Gears to draw: topic, time of the cause [ns] (n,), and what a drawing shows.
+    """Gears to draw: topic, time of the cause [ns] (n,), and the content of each drawing.
 
     Stamps [ns] and input angles as reported [rad], (n,); forces on the flanks (n, sections, 2, Z_R) [N];
-    torsion (n,) [rad]; the force that has the last colour [N].
+    torsion (n,) [rad]; `full_scale` is the force of the last colour [N].
     """
 
     topic: str
@@ -71,7 +71,7 @@ class Status(NamedTuple):
 
     @property
     def name(self) -> str:
-        """As diagnostics call it."""
+        """Name of the joint in diagnostics."""
         return f"hd_diag: {self.joint}"
 
 
@@ -90,10 +90,10 @@ Publication = Angles | Stamps | ToothArrays | Drawings | Report
 
 
 def angles(received: Times, errors: Errors, names: Sequence[str]) -> Iterator[Angles]:
-    """Messages of transmission errors, in each topic in the order of the messages that caused them.
+    """Messages of transmission errors; each topic has them in the order of the messages that caused them.
 
     Samples of one message with the same stamp share a published message. `received` are the times at which
-    the causes arrived (n,) [ns], `names` those of all joints.
+    the causing messages arrived (n,) [ns], `names` those of all joints.
     """
     samples = errors.samples
     columns = samples.row, samples.stamp, samples.paired, samples.joint, samples.output_angle
@@ -113,7 +113,7 @@ def _runs(
 ) -> list[tuple[Integers, tuple[Times, Times, tuple[str, ...]]]]:
     """Chosen samples (messages, joints) of each run of messages with the same joints, and their heads.
 
-    That is: times of the cause [ns], stamps [ns] and names of the joints; `bounds` as the kernel gives them.
+    A head has times of the cause [ns], stamps [ns] and names of the joints. `bounds` are from the kernel.
     """
     found = []
     begins, widths = bounds.tolist()

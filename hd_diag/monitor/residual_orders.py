@@ -1,9 +1,10 @@
 """Orders of the residual while a joint runs: waves of short windows, and whether they agree; bounded memory.
 
-A window is two turns of the input. In each the waves of the input's orders are fitted beside what is slow,
-and sorted by the side of the teeth that the torque loads: with it an eccentricity's wave turns by half a
-period. An order repeats where the waves of many windows agree in size and phase, as those of noise, of a
-transient or of another order do not. What lies 64 turns and half a minute of motion back counts for 1/e.
+A window is two turns of the input. In each window the waves of the input's orders are fitted together with
+slow changes. They are sorted by the side of the teeth that the torque loads, because an eccentricity's wave
+turns by half a period with it. An order repeats if the waves of many windows agree in size and phase; those
+of noise, of a transient or of another order do not. The weight decays to 1/e in 64 turns or half a minute of
+motion.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ ORDERS = (("input", 1), ("input", 2), ("input", 4), ("output", 1))
 class Order(NamedTuple):
     """An order: frame and periods per turn; ``amplitude cos(order angle - phase)`` [rad].
 
-    `std` is the amplitude's standard deviation by the spread of the windows [rad], nan of an order of the
-    output; `repeats` tells whether the windows agree, False of an order of the output, where nothing does.
+    `std` is the amplitude's standard deviation from the spread of the windows [rad]. `repeats` tells whether
+    the windows agree. Orders of the output are not compared by windows: nan and False.
     """
 
     frame: str = ""
@@ -33,14 +34,14 @@ class Order(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Such as ``input 2``; empty where no order is known."""
+        """Such as ``input 2``; empty if no order is known."""
         return f"{self.frame} {self.number}" if self.frame else ""
 
 
 class ResidualOrders:
-    """Orders of a joint's residual; `state` are arrays as `kernel_orders.follow` has them.
+    """Orders of a joint's residual; `state` holds the arrays of `kernel_orders.follow`.
 
-    What comes of samples depends on their sequence alone, to the last bit, however many come at once.
+    The result depends on the sequence of samples alone, to the last bit, and not on the number per call.
     """
 
     def __init__(self) -> None:
@@ -51,14 +52,14 @@ class ResidualOrders:
     def add(self, samples: Any, joint: int) -> None:
         """Take the samples of a joint, by its number, from records of `SAMPLE` (n,).
 
-        Those at rest and those without an output angle are left out.
+        Samples at rest and samples without an output angle are left out.
         """
         from hd_diag.monitor.kernel_orders import follow  # late: it imports numba
 
         follow(samples, joint, *self.state)
 
     def known(self) -> list[Order]:
-        """The orders that the motion so far shows apart from others."""
+        """The orders that the motion so far separates from the others."""
         from hd_diag.monitor.kernel_orders import look
 
         return [

@@ -1,4 +1,4 @@
-"""What a monitor is set up with: joints with their drives, names, limits; rates."""
+"""Settings of a monitor: joints with their drives, names and limits; rates."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ class Limit:
 
 @dataclass(frozen=True)
 class JointConfig:
-    """One joint: the names it has in JointState, its drive, assumed torque [N m] and limits.
+    """One joint: its names in JointState, its drive, assumed torque [N m] and limits.
 
-    With an extended model `drive` is the model's, refitted; `configured` is what the parameters say.
-    `model_text` is the whole content of the model's file. `signals` are those that have not their usual
-    places; `input_divided` tells whether the input is reported at the output's side.
+    With an extended model `drive` is the model's, refitted; `configured` is that of the parameters.
+    `model_text` is the whole content of the model's file. `signals` are those outside their usual places;
+    `input_divided` tells whether the input is reported at the output's side.
     """
 
     name: str
@@ -50,18 +50,18 @@ class JointConfig:
 
     @property
     def mapped(self) -> dict[str, Signal]:
-        """Signals that have not their usual places, by the keys of their columns."""
+        """Signals outside their usual places, by the keys of their columns."""
         pairs = zip(ROLES, self.signals, strict=True)
         return {key(self.name, role): signal for role, signal in pairs if signal is not None}
 
     @property
     def names(self) -> Names:
-        """What the alignment of streams must know of the joint."""
+        """Names and factors of the joint for the alignment of streams."""
         has = {
             role: key(self.name, role) for role, s in zip(ROLES, self.signals, strict=True) if s is not None
         }
         own = has.get("input", "")
-        # Of a mapped angle no speed is known, of a mapped velocity no angle.
+        # A mapped angle comes without speed, a mapped velocity without angle.
         angle, speed = (ELSEWHERE, own) if self.signals.is_velocity else (own, own and ELSEWHERE)
         keys = angle, has.get("output", ""), has.get("torque", ""), speed
         ratio = self.drive.kinematics.ratio

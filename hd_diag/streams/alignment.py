@@ -1,24 +1,24 @@
-"""Messages of joints to aligned samples, live and offline: the rules for clocks, pairs and torques.
+"""Aligns messages of joints to samples, live and offline: the rules for clocks, pairs and torques.
 
-* **A stamp of zero counts as missing.** The time of reception takes its place, and such messages are counted;
-  a mapping may ask for this everywhere (``stamp: reception``). A step from such a stamp back to one of a
-  header does not count as a clock set back.
-* **Stamps rise.** A stamp that repeats the last, or is at most `CLOCK_JUMP` before it, is late: refused. One
-  further back is of a clock that was set back: the joint's stream starts again (a new `stretch`), and nothing
-  of before is used with what comes after.
-* **Pairs.** Input and output angle of one message belong together. An output angle that comes apart waits for
-  the input angle at its own stamp: interpolated between two inputs that are at most `PAIRING_GAP` apart.
-* **Torque.** A sample has the last torque reported up to its stamp, if that is at most `LONGEST_HOLD` old;
-  otherwise its torque is unknown, and live the configured torque is taken. Offline the next torque is known
+* **A stamp of zero counts as missing.** The time of reception takes its place, and such messages are counted.
+  A mapping may ask for this everywhere (``stamp: reception``). A step back between a time of reception and a
+  header's stamp restarts the stream, but does not count as a clock set back.
+* **Stamps rise.** A stamp that repeats the last, or is at most `CLOCK_JUMP` before it, is late and refused.
+  An earlier one means that the clock was set back: the joint's stream starts again (a new `stretch`), and no
+  earlier data are used with later data.
+* **Pairs.** Input and output angle of one message belong together. A separate output angle waits for the
+  input angle at its stamp, interpolated between two inputs that are at most `PAIRING_GAP` apart.
+* **Torque.** A sample has the last torque reported up to its stamp, if that is at most `LONGEST_HOLD` old.
+  Otherwise its torque is unknown; live, the configured torque replaces it. Offline the next torque is known
   too: `torque_between` interpolates between reported torques at most that far apart.
-* **A velocity is integrated** from the output's angle on: see `kernel._integrate`.
-* **Turns are counted.** An angle within one turn that jumps by over half of one wraps, as does a counter of
-  16 or 32 bits: it goes the short way.
-* **A nan** mostly means that nothing was measured: the value counts as not reported until a number comes. So
-  does an output angle beside a torque that comes apart from the input. Other values that are no numbers, and
-  those beyond `LARGEST_ANGLE` and `LARGEST_TORQUE`, refuse the sample.
+* **A velocity is integrated**, beginning at the output's angle: see `kernel._integrate`.
+* **Turns are counted.** An angle within one turn wraps if it jumps by over half a turn. A counter of 16 or 32
+  bits wraps likewise. The shorter way is taken.
+* **A nan** mostly means that nothing was measured: the value counts as not reported until a number comes. In
+  messages with a torque and no input, a nan output angle always counts as not reported. Any other value that
+  is not a number, or is beyond `LARGEST_ANGLE` or `LARGEST_TORQUE`, makes the sample refused.
 
-What comes out depends on the sequence of rows alone, to the last bit, however many come at once.
+The output depends on the sequence of rows alone, to the last bit, and not on the number of rows per call.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ from hd_diag.arrays import Bytes, Floats, Integers, Times
 from hd_diag.streams.columns import BLOCKS, LARGEST_ANGLE, LARGEST_TORQUE, JointStates
 from hd_diag.streams.rules import INPUT, JOINT, LONGEST_HOLD, NEVER, OUTPUT, REMEMBERED, Given, Reason, unseen
 
-# Of JOINT, as in Names.
+# Fields of JOINT that Names configures, in its order.
 _CONFIGURED = ["assumed_torque", "input_factor", "velocity_ratio", "input_counter", "output_counter"]
-_LAYOUTS = 64  # of messages, whose columns are remembered
+_LAYOUTS = 64  # message layouts whose columns are cached
 
 Arrived = dict[tuple[tuple[str, ...], tuple[str, ...]], None]
 """Names and keys of messages, each pair once, in the order in which they came."""
@@ -47,11 +47,12 @@ ELSEWHERE = "-"
 
 
 class Names(NamedTuple):
-    """What a joint is called in messages.
+    """How a joint appears in messages.
 
-    Names of input and output in joint states, and the torque where none is known [N m]; keys of input,
-    output, torque and speed where they are signals of their own; by what reported inputs are multiplied; the
-    ratio where the input is known by its velocity, else 0; 16 bits of counts [rad] where angles are counted.
+    `input_joint` and `output_joint` are its names in joint states, `torque` is assumed where none is known
+    [N m]. `keys` are those of input, output, torque and speed that are mapped signals. Reported inputs are
+    multiplied by `input_factor`. `velocity_ratio` is the ratio if the input is known by its velocity, else 0.
+    `input_counter`, `output_counter` are the angle of 16 bits of counts [rad], 0 if angles are not counted.
     """
 
     input_joint: str
@@ -65,13 +66,13 @@ class Names(NamedTuple):
 
 
 class Aligned(NamedTuple):
-    """Samples of joints, in the order of the messages that gave them, each column (m,).
+    """Samples of joints, in the order of the messages that completed them, each column (m,).
 
-    Position of the message that made the sample complete, among those taken together; number of the joint;
-    stamp of the sample and of the reported torque [ns]; number of the joint's stream, another one after its
-    clock was set back; 1 in `paired` where the output angle came apart from the input, which had a sample at
-    its own stamp. Angles [rad], output nan where none is reported; torque on the link, reported or assumed
-    [N m]; speed of the input [rad/s], nan where it is not reported.
+    `row` is the position of the completing message in its batch, `joint` the joint's number. `stamp` is that
+    of the sample, `torque_stamp` that of the reported torque [ns]. `stretch` numbers the joint's streams: a
+    clock set back begins another one. `paired` is 1 if the output angle came separately from the input, which
+    has a sample at its own stamp. Angles are in [rad], the output is nan if none is reported. `torque` is on
+    the link, reported or assumed [N m]. `speed` is the input's [rad/s], nan if it is not reported.
     """
 
     row: Times
@@ -86,14 +87,15 @@ class Aligned(NamedTuple):
     speed: Floats
 
     def part(self, rows: Any) -> Aligned:
-        """Some of the samples."""
+        """Selected samples."""
         return Aligned(*(column[rows] for column in self))
 
 
 class _Columns(NamedTuple):
-    """Where values of k joints are in messages of one layout, (4 k,), what is given (1, k), if anything.
+    """Columns of the values of k joints in messages of one layout (4 k,), and flags of given values (1, k).
 
-    `problem` says why the messages are refused for joints whose positions they do not tell.
+    `is_foreign` if the messages give nothing of any joint. `problem` is the reason why they are refused for
+    joints whose positions they do not tell.
     """
 
     place: Integers
@@ -105,10 +107,10 @@ class _Columns(NamedTuple):
 class Alignment:
     """Streams of k joints by their names.
 
-    Of each joint so many inputs are `remembered` for outputs, and so many outputs may wait. `joints` (k,) are
-    records of `JOINT`, `encoders` (k, 2) of `ENCODER`, of input and output; `texts` reasons that were given
+    `remembered` inputs of each joint are kept for outputs, and as many outputs may wait. `joints` (k,) are
+    records of `JOINT`, `encoders` (k, 2) records of `ENCODER` for input and output. `texts` are reasons given
     to `reject`; `foreign` counts messages that name none of the joints. `arrived` are names and keys of
-    messages since `turn`; `before` those of the time before, and of the last two times with any.
+    messages since the last `turn`; `before` those of the interval before it and of two earlier ones with any.
     """
 
     def __init__(self, names: Sequence[Names], remembered: int = REMEMBERED) -> None:
@@ -130,7 +132,7 @@ class Alignment:
 
     @property
     def state(self) -> tuple[Any, Any, Any, Any]:
-        """All that is remembered: joints, encoders (k, 2), rings (k, remembered) of inputs and of outputs."""
+        """State between calls: joints, encoders (k, 2), rings (k, remembered) of inputs and of outputs."""
         return self.joints, self.encoders, self._inputs, self._waiting
 
     def configure(self, number: int, names: Names) -> None:
@@ -144,10 +146,10 @@ class Alignment:
     def take(
         self, heard: Times, shapes: Sequence[JointStates], refused: Sequence[tuple[int, str]] = ()
     ) -> Aligned:
-        """Samples that messages complete, which arrived at times `heard` (n,) [ns].
+        """Samples completed by messages that arrived at times `heard` (n,) [ns].
 
-        The rows of the messages of each layout are positions in `heard`, as are those of messages that cannot
-        be read (row, reason): they count as rejected for every joint.
+        `shapes` are the messages of each layout, with rows that are positions in `heard`. `refused` are (row,
+        reason) of messages that cannot be read; they count as rejected for every joint.
         """
         stamp, values, given, problems = self._rows(heard.size, shapes)
         if refused:
@@ -161,7 +163,7 @@ class Alignment:
         return Aligned(*whole, *found)
 
     def turn(self) -> None:
-        """Let `arrived` start again."""
+        """Begin another interval: move `arrived` to `before`."""
         self.before = [*[each for each in self.before if each][-2:], self.arrived]
         self.arrived, self._last = {}, None
 
@@ -178,7 +180,7 @@ class Alignment:
         self.texts[number] = reason
 
     def last_rejection(self, number: int) -> str:
-        """Why the last sample of a joint that was refused could not be used; empty if there was none."""
+        """Why the last refused sample of a joint could not be used; empty if none was refused."""
         joint, names = self.joints[number], self._names[number]
         value, late = joint["reason_value"], int(joint["reason_late"])
         match Reason(joint["reason"]):
@@ -197,7 +199,7 @@ class Alignment:
         return self.texts[number]
 
     def _rows(self, count: int, shapes: Sequence[JointStates]) -> tuple[Times, Floats, Bytes, dict[int, str]]:
-        """Stamps (n,), values (n, k, 4), what is given (n, k), and what is wrong with rows."""
+        """Stamps (n,), values (n, k, 4), flags of given values (n, k), and problems by row."""
         problems: dict[int, str] = {}
         if len(shapes) == 1 and shapes[0].stamp.size == count:
             states = shapes[0]
@@ -267,10 +269,10 @@ class Alignment:
 
 
 def torque_between(stamp: Times, stretch: Integers, torque: Floats, torque_stamp: Times) -> Floats:
-    """Torque (m,) [N m] of one joint's samples where the next reported one is known as well: interpolated.
+    """Torque (m,) [N m] of one joint's samples, interpolated between reported torques by the rules above.
 
-    Of columns (m,) as in `Aligned`, by stamps in each stretch; by the rules above. It is nan where none is
-    reported nearby, infinite beside an infinite one.
+    The arguments are columns (m,) as in `Aligned`. Interpolation is by stamps in each stretch. The torque is
+    nan where none is reported nearby, and infinite next to an infinite one.
     """
     found = torque.copy()
     for number in np.unique(stretch[torque_stamp != stamp]):
@@ -291,7 +293,7 @@ def torque_between(stamp: Times, stretch: Integers, torque: Floats, torque_stamp
 
 @functools.cache
 def kernel() -> ModuleType:
-    """What is compiled, imported when first needed."""
+    """The compiled kernels, imported when first needed."""
     from hd_diag.streams import kernel as compiled
 
     return compiled

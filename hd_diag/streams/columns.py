@@ -1,4 +1,4 @@
-"""What arrives: columns of joint states. Times: int64 [ns]."""
+"""Columns of the joint states that arrive. Times: int64 [ns]."""
 
 from __future__ import annotations
 
@@ -9,27 +9,26 @@ import numpy as np
 from hd_diag.arrays import Floats, Times
 
 LARGEST_ANGLE = 1e10
-"""Beyond it a double tells no angle to a microradian, and no joint gets there in a lifetime [rad]."""
+"""Beyond it a double does not resolve a microradian, and no joint gets there in a lifetime [rad]."""
 
 LARGEST_TORQUE = 1e6
-"""A hundred times what the largest harmonic drives bear [N m]: more is a fault of who reports it."""
+"""A hundred times what the largest harmonic drives bear [N m]: a larger value is the sender's error."""
 
 BLOCKS = "position", "velocity", "effort"
-"""What joint states hold of each joint."""
+"""Arrays of a JointState message, with a value for each joint."""
 
 LARGEST_TEMPERATURE = 1e4
-"""Beyond it, up or down, nothing is measured [degree Celsius]."""
+"""Greatest magnitude of a measured temperature [degree Celsius]."""
 
 
 class JointStates(NamedTuple):
     """Messages with the same k joints; n >= 1 rows, one while live.
 
-    Positions of the messages in the batch they come from (n,), time of their headers [ns] (n,), names of the
-    joints; position [rad] or [m], velocity [rad/s] or [m/s] and effort [N m] or [N], each (n, k) or None
-    where the messages have none; one of another width has no known names.
-    `signals` (n, m) is what is mapped to joints otherwise than by these names,
-    in SI and degree Celsius, with m `keys` as `hd_diag.streams.signals.key` has them. `unstamped` are
-    messages whose headers have a stamp of zero.
+    `row` (n,) are positions of the messages in their batch, `stamp` (n,) the times of their headers [ns],
+    `names` (k,) the joints. Position [rad] or [m], velocity [rad/s] or [m/s] and effort [N m] or [N] are each
+    (n, k), or None if the messages have none. A block of another width cannot be assigned to the names.
+    `signals` (n, m) are values mapped to joints in other ways, in SI and degree Celsius; their m `keys` are
+    those of `hd_diag.streams.signals.key`. `unstamped` if the headers have a stamp of zero.
     """
 
     row: Times
@@ -63,7 +62,7 @@ class JointStates(NamedTuple):
         return f"has {block.shape[1]} values of {BLOCKS[number]} for {count} names"
 
     def stamped(self, received: Times, always: bool) -> list[JointStates]:
-        """The messages with their batch's times of reception [ns] for stamps of zero, or always."""
+        """The messages with times of reception in their batch [ns] for stamps of zero, or for all stamps."""
         if always:
             return [self._replace(stamp=received[self.row])]
         if self.stamp.all():

@@ -1,7 +1,7 @@
 """The rules of `alignment` compiled: rows of messages in, aligned samples out, with state between calls.
 
-Imported by `alignment` when first needed, because it imports numba. Nothing here depends on how many rows
-come in one call. State stands in arrays of records over the joints (`JOINT`) and rings (`INPUT`, `OUTPUT`).
+`alignment` imports this module when first needed, because it imports numba. No result depends on the number
+of rows per call. The state is in records per joint (`JOINT`) and in rings (`INPUT`, `OUTPUT`).
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ def align(
 ) -> tuple[Integers, Floats]:
     """Aligned samples, columns (6, m) and (4, m) as in `Aligned`.
 
-    Stamps and times of reception [ns] (n,); input and output angle, torque, speed (n, k, 4) of k joints, and
-    which of them are given (n, k); the values become continuous.
+    `stamp` and times of reception `heard` are (n,) [ns]. `values` (n, k, 4) are input and output angle,
+    torque and speed of k joints; the angles become continuous. `given` (n, k) flags the given values.
     """
     room = values.shape[0] * joints.size
     for j in range(joints.size):
@@ -99,7 +99,7 @@ def _refuse(joint: Any, reason: int, value: float, late: int) -> int:
 
 @part
 def _checked(joint: Any, row: int, stamp: int, given: int, value: Floats) -> int:
-    """What is given less what cannot be used; 0 where the row is refused."""
+    """Flags of given values that can be used; 0 if the row is refused."""
     unstamped, given = int(given & _UNSTAMPED != 0), given & ~_UNSTAMPED
     if given & _REFUSED:
         return _refuse(joint, _UNREADABLE, 0.0, row)
@@ -108,7 +108,7 @@ def _checked(joint: Any, row: int, stamp: int, given: int, value: Floats) -> int
     if not given & (_INPUT | _OUTPUT | _TORQUE):
         return _refuse(joint, _NAMELESS, 0.0, 0)
     if stamp < max(joint.input_stamp, joint.output_stamp) - CLOCK_JUMP:
-        joint.clock_jumps += joint.by_reception == unstamped  # else it is another clock
+        joint.clock_jumps += joint.by_reception == unstamped  # otherwise it is another clock
         _begin(joint)
     joint.by_reception = unstamped
     joint.unstamped += unstamped
@@ -134,7 +134,7 @@ def _checked(joint: Any, row: int, stamp: int, given: int, value: Floats) -> int
 
 @part
 def _count_turns(joint: Any, encoders: Any, given: int, value: Floats) -> None:
-    """Make the angles of a row continuous, and the input the wave generator's."""
+    """Make the angles of a row continuous, and convert input and speed to the wave generator's."""
     if given & _INPUT and joint.velocity_ratio == 0.0:
         value[0] = continuous(encoders[0], joint.stretch, value[0], joint.input_counter) * joint.input_factor
     if given & _OUTPUT:
@@ -145,7 +145,7 @@ def _count_turns(joint: Any, encoders: Any, given: int, value: Floats) -> None:
 
 @part
 def _with_velocity(joint: Any, given: int, value: Floats) -> int:
-    """Which values are given; an input velocity takes the place of the angle in the checks."""
+    """Flags of given values; an input velocity takes the place of the angle in the checks."""
     if joint.velocity_ratio != 0.0 and given & _SPEED:
         value[0] = value[3]
         given |= _INPUT
@@ -154,15 +154,15 @@ def _with_velocity(joint: Any, given: int, value: Floats) -> int:
 
 @part
 def _integrate(joint: Any, stamp: int, before: int, given: int, value: Floats) -> int:
-    """Put the integral of the velocity in the input angle's place; what is given then.
+    """Replace the input angle by the integral of the velocity; returns the flags of given values.
 
     The integral slowly follows the output times the ratio: their difference decays over `DRIFT_TIME`. There
-    is no angle before an output is known. `before` is the stamp of the input before.
+    is no angle before an output is known. `before` is the stamp of the previous input.
     """
     elapsed = (stamp - before) * 1e-9
     if given & _INPUT:
         if stamp - before > PAIRING_GAP:
-            joint.followed = 0  # it goes on as far off the output as it was
+            joint.followed = 0  # the offset from the output is kept across the gap
         joint.away += 0.5 * (joint.rate + value[3]) * elapsed * joint.followed
         joint.rate = value[3]
     if given & _OUTPUT:
@@ -179,7 +179,7 @@ def _integrate(joint: Any, stamp: int, before: int, given: int, value: Floats) -
 
 @part
 def _load(joint: Any, stamp: int) -> float:
-    """Torque at a stamp [N m]."""
+    """Torque at a stamp [N m]: reported, or the assumed one."""
     is_known = abs(stamp - joint.torque_stamp) <= LONGEST_HOLD and not math.isnan(joint.torque)
     value: float = joint.torque if is_known else joint.assumed_torque
     return value
@@ -199,7 +199,7 @@ def _take_input(joint: Any, stamp: int, heard: int, given: int, value: Floats, r
 
 @part
 def _keep_output(joint: Any, stamp: int, angle: float, ring: Any) -> None:
-    """Let an output angle wait for an input; the oldest of too many is given up."""
+    """Let an output angle wait for an input; if too many wait, the oldest is dropped."""
     joint.output_seen, joint.output_stamp = 1, stamp
     if joint.waiting == ring.size:
         joint.unpaired += 1
@@ -215,7 +215,7 @@ def _keep_output(joint: Any, stamp: int, angle: float, ring: Any) -> None:
 def _pair(
     row: int, joints: Any, inputs: Any, waiting: Any, whole: Integers, found: Floats, count: int
 ) -> int:
-    """Samples of outputs that have waited long enough, by stamp and joint; how many samples there are now."""
+    """Add samples of waiting outputs whose input is known, by stamp and joint; returns the new count."""
     while True:
         stamp = _LAST
         for j in range(joints.size):
@@ -242,7 +242,7 @@ def _pair(
 
 @part
 def _interpolated(joint: Any, ring: Any, stamp: int) -> float:
-    """Input angle at a stamp not after the last [rad]; nan where the inputs around it are far apart."""
+    """Input angle at a stamp not after the last input [rad]; nan if the inputs around it are far apart."""
     low, high = joint.inputs - min(joint.inputs, ring.size), joint.inputs - 1
     while low < high:
         middle = (low + high) // 2
@@ -261,11 +261,11 @@ def _interpolated(joint: Any, ring: Any, stamp: int) -> float:
 def messages(
     row: Times, stamp: Times, paired: Integers, joint: Integers, output_angle: Floats
 ) -> tuple[Integers, Integers, Integers, Integers]:
-    """Samples that are published together: those at the inputs' own stamps, and those with an output angle.
+    """Samples to publish: first those at the inputs' own stamps, then those with an output angle.
 
-    A message holds those of one row and stamp, paired or not; a run is of messages with the same joints one
-    after the other. Returned are, for both, the samples' numbers (m,) and for each run its first place among
-    them and the joints of its messages (2, runs).
+    A message holds samples of one row and stamp, either paired or not. A run is of consecutive messages with
+    the same joints. For both kinds the result has the indices of the samples (m,), and for each run its first
+    place among them and the number of joints per message (2, runs).
     """
     own, compared = np.flatnonzero(paired == 0), np.flatnonzero(~np.isnan(output_angle))
     return own, _runs(row, stamp, paired, joint, own), compared, _runs(row, stamp, paired, joint, compared)
@@ -295,10 +295,10 @@ def _runs(row: Times, stamp: Times, paired: Integers, joint: Integers, chosen: I
 def begun(
     stamp: Times, joint: Integers, paired: Integers, period: int, offset: Times, last: Times
 ) -> Integers:
-    """Numbers of samples (n,) that begin a period [ns] of their joint; paired ones are skipped.
+    """Indices of samples that begin a period [ns] of their joint; paired ones are skipped.
 
-    The joints' periods begin earlier by an `offset` (k,) [ns]; `last` (k,) are the numbers of the last ones,
-    which change.
+    The joints' periods begin earlier by an `offset` (k,) [ns]. `last` (k,) holds the numbers of the joints'
+    last periods and is updated.
     """
     found, count = np.empty(stamp.size, np.int64), 0
     for i in range(stamp.size):

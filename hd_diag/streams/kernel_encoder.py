@@ -1,4 +1,4 @@
-"""Angles as encoders report them made continuous, compiled: a part of `kernel`, and for tables."""
+"""Makes reported encoder angles continuous, compiled: a part of `kernel`, and for tables."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from hd_diag.arrays import Floats
 from hd_diag.model.kernel.compiler import entry_point, part
 
 _TURN = 2.0 * math.pi
-_ROUNDING = 1e-6  # a wrapped angle may leave its turn so far [rad]
-_WORD = 65536.0  # a counter of 32 bits over one of 16
+_ROUNDING = 1e-6  # a wrapped angle may leave its turn by this much [rad]
+_WORD = 65536.0  # counts of a 32-bit counter over those of a 16-bit one
 
 
 @part
 def continuous(encoder: Any, stretch: int, angle: float, counter: float) -> float:
-    """An angle that may wrap, with its turns [rad]; `counter` is what 16 bits of counts are, else 0 [rad]."""
+    """An angle that may wrap, with its turns [rad]; `counter` is the angle of 16 bits of counts, else 0."""
     if encoder.stretch != stretch:
         if encoder.stretch < 0:
             encoder.low = encoder.high = angle
@@ -35,7 +35,7 @@ def continuous(encoder: Any, stretch: int, angle: float, counter: float) -> floa
 
 @part
 def _period(reach: float, counter: float) -> float:
-    """Angle after which an encoder of such a range starts again [rad]: a turn, 16 or 32 bits, never."""
+    """Angle after which an encoder with this range wraps [rad]: a turn, 16 or 32 bits, or infinite."""
     if reach <= _TURN + _ROUNDING:
         return _TURN
     if counter > _TURN and reach <= counter:
@@ -47,7 +47,7 @@ def _period(reach: float, counter: float) -> float:
 
 @entry_point
 def continued(angle: Floats, counter: float, encoders: Any) -> Floats:
-    """Angles (n,) of an encoder not seen before, made continuous [rad]; nan is passed over."""
+    """Continuous angles (n,) [rad], from angles of an encoder not seen before; nan is passed over."""
     found = np.empty_like(angle)
     for i in range(angle.size):
         known = not math.isnan(angle[i])

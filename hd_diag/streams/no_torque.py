@@ -1,16 +1,16 @@
-"""Torques that nothing measured."""
+"""Recognises reported torques that no sensor measured."""
 
 from __future__ import annotations
 
 _PLACEHOLDERS = (1.0, 99.0, 999.0, 9999.0, 32767.0, 32768.0, 65535.0, 99999.0)  # of either sign [N m]
-_LEAST_TORQUE = 1e-6  # of any sample, without which none was measured [N m]: it bends no gear by an arcsec
+_LEAST_TORQUE = 1e-6  # smaller ones were not measured [N m]: they bend no gear by an arcsec
 
 
 def no_torque(least: float, most: float) -> str:
-    """What a torque is that was not measured, by the least and most of it [N m]; empty for a measured one.
+    """End of a sentence on a torque that was not measured, from its range [N m]; empty if it was measured.
 
-    A driver that measures none reports nan or zero, or one of `_PLACEHOLDERS` all the time. Another constant
-    may be a load that is known.
+    A driver without a sensor reports nan or zero, or one of `_PLACEHOLDERS` all the time. Another constant
+    may be a known load.
     """
     if not least <= most:
         return "is not a number throughout"

@@ -8,29 +8,29 @@ from typing import Any
 import numpy as np
 
 CLOCK_JUMP = 1_000_000_000
-"""A stamp this far behind the last one is a clock set back, not a late sample [ns]."""
+"""A stamp further behind the last one means a clock set back, not a late sample [ns]."""
 
 PAIRING_GAP = 50_000_000
 """An input angle is interpolated over at most this time [ns]."""
 
 LONGEST_HOLD = 200_000_000
-"""A reported torque stands for at most this time [ns]."""
+"""A reported torque holds for at most this time [ns]."""
 
 REMEMBERED = 256
-"""Input samples kept for output angles that arrive later, and output angles that may wait for an input."""
+"""Number of input samples kept for later output angles, and of output angles that may wait for an input."""
 
 DRIFT_TIME = 30.0
-"""Time after which an integrated velocity has forgotten what it was off its output by [s]."""
+"""Time constant with which an integrated velocity returns to its output angle [s]."""
 
 NEVER = -(2**62)
 """Before every stamp [ns]."""
 
 
 class Given(IntFlag):
-    """What a row of a joint gives; `NAMED` if the message names the joint, `REFUSED` if it is unreadable.
+    """Values that a row gives of a joint; `NAMED` if the message names it, `REFUSED` if it is unreadable.
 
-    `OTHER` is a signal that is not aligned, such as a temperature. `UNSTAMPED` is a row whose stamp was zero:
-    the time of reception stands for it.
+    `OTHER` is a signal that is not aligned, such as a temperature. `UNSTAMPED` is a row whose stamp was zero
+    and is now the time of reception.
     """
 
     INPUT = 1
@@ -44,7 +44,7 @@ class Given(IntFlag):
 
 
 class Reason(IntEnum):
-    """Why a row is refused; `OTHER` has a text of its own."""
+    """Why a row is refused; `OTHER` has a text in `Alignment.texts`."""
 
     OTHER = 0
     NAMELESS = 1
@@ -71,21 +71,21 @@ JOINT = np.dtype(
         *((name, np.float64) for name in ("input_counter", "output_counter")),
     ]
 )
-"""State of one joint: stamps [ns], when an input was last heard [ns], number of its stream, places in
-rings, counters, whether the last stamp is a time of reception, the last refusal, torque reported and
-assumed [N m]; factor on reported inputs; least and most of all torques reported [N m]; input
-angle and torque of the last sample. Where the input is a velocity: whether the output is known, the ratio
-(else 0), output times ratio, how far the integral is off it and how far that drifted [rad], last velocity
-[rad/s]. What 16 bits of counts are of input and output, 0 where they do not count [rad]."""
+"""State of one joint: last stamps [ns], arrival of the last input (`heard`) [ns], number of its stream,
+places in rings, counters, whether the last stamp is a time of reception, the last refusal, reported and
+assumed torque [N m], factor on reported inputs, least and greatest reported torque [N m]; input angle [rad]
+and torque (`load`) [N m] of the last sample. If the input is a velocity: whether the output is known
+(`followed`), the ratio (else 0), output times ratio (`own`), the integral less that (`away`) and its low-pass
+that is removed (`drift`) [rad], last velocity [rad/s]. Angle of 16 bits of counts, 0 if not counted [rad]."""
 
 ENCODER = np.dtype(
     [("stretch", np.int64), *((name, np.float64) for name in ("angle", "low", "high", "turns"))]
 )
-"""An angle as it is reported: in which stream, the last one, least and greatest [rad], whole turns to add."""
+"""State of one encoder: number of its stream, last, least and greatest angle [rad], whole turns to add."""
 
 
 def unseen(count: int = 1) -> Any:
-    """So many encoders, nothing known about them yet."""
+    """States of `count` encoders of which nothing is known yet."""
     encoders = np.zeros(count, ENCODER)
     encoders["stretch"] = -1
     return encoders

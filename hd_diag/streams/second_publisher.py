@@ -1,4 +1,4 @@
-"""Rows of a second publisher: one value again and again, between a joint's samples that go on elsewhere."""
+"""Rows of a second publisher: one value recurs between samples that stay on the joint's own path."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 
 from hd_diag.arrays import Floats, Integers, Rows
 
-_CANDIDATES = 4  # values of a column that are tried, the most frequent ones
-_LEAST = 3  # times that a value has to come between others: fewer are outliers
-_FAR = 5.0  # times the step that a hundredth of the joint's own exceed, which no joint jumps there and back
-_SMALLEST = 1e-3  # jump that counts [rad, N m], where the joint itself rests
-_SHORT = 5  # rows; a torque may go to zero for longer, where a brake holds
+_CANDIDATES = 4  # most frequent values of a column that are tried
+_LEAST = 3  # least jumps to a value and back: fewer are outliers
+_FAR = 5.0  # least jump over the joint's own 99th percentile step: no joint jumps that far and back
+_SMALLEST = 1e-3  # least jump if the joint itself rests [rad, N m]
+_SHORT = 5  # most rows of a torque at one value: under a brake it may be zero for longer
 _DIGITS = 9  # decimal places in the comparison of wrapped angles
 _UNITS = {"input": "rad", "output": "rad", "torque": "N m"}
 
@@ -21,16 +21,17 @@ _UNITS = {"input": "rad", "output": "rad", "torque": "N m"}
 def other_rows(
     time: Floats, bag: Integers, columns: Mapping[str, Floats], period: Mapping[str, float], where: str = ""
 ) -> tuple[Rows, str]:
-    """Rows (n,) that a second publisher gave, and what is to be said of them; empty where there are none.
+    """Rows (n,) that a second publisher gave, and a sentence about them; empty if there are none.
 
-    Times [s] and numbers of recordings (n,); angles [rad] and torque [N m] by their roles, each (n,); after
-    what an angle that counts within a turn starts again [rad]; `where` they were published.
+    `time` [s] and the recordings' numbers `bag` are (n,). `columns` are angles [rad] and torque [N m] by
+    role, each (n,). `period` is the wrap of an angle within a turn [rad]; `where` tells where they were
+    published.
 
     Notes
     -----
     A joint passes a value, rests there, or steps and stays. It does not leave its path for the same value,
-    to the last digit, and come back, three times and more. Where other columns are constant in these rows
-    too, all such rows are the publisher's, also those near the joint's own path.
+    to the last digit, and come back, three times or more. If other columns are constant in these rows too,
+    all rows with these values are the publisher's, also those near the joint's own path.
     """
     longest = {"torque": _SHORT}
     between = [
@@ -56,7 +57,7 @@ def other_rows(
 
 
 def _key(column: Floats, period: float) -> Floats:
-    """Values that are compared: of an angle within a turn, its place in the turn."""
+    """Values to compare; an angle within a turn is reduced to its place in the turn."""
     if period == inf:
         return column
     place = np.round(np.remainder(column, period), _DIGITS)
@@ -64,15 +65,15 @@ def _key(column: Floats, period: float) -> Floats:
 
 
 def _between(column: Floats, bag: Integers, period: float, longest: int) -> Rows:
-    """Rows (n,) of a column that jumps to one value and back, within so many rows."""
+    """Rows (n,) at which a column jumps to one value and back, within `longest` rows."""
     found = np.zeros(column.size, dtype=bool)
     finite = np.isfinite(column)
     steps = np.diff(column[finite])
     if period == inf and not (steps.max(initial=0.0) > _SMALLEST and steps.min(initial=0.0) < -_SMALLEST):
-        return found  # none there and back
+        return found  # no jumps in both directions
     key = _key(column, period)
     ordered = np.sort(key[finite])
-    if not np.any(ordered[_LEAST - 1 :] == ordered[: 1 - _LEAST]):  # a joint that moves: no value so often
+    if not np.any(ordered[_LEAST - 1 :] == ordered[: 1 - _LEAST]):  # moving: no value repeats often
         return found
     values, counts = np.unique(ordered, return_counts=True)
     for number in np.argsort(-counts, kind="stable")[:_CANDIDATES]:
@@ -84,7 +85,7 @@ def _between(column: Floats, bag: Integers, period: float, longest: int) -> Rows
         if not own.size:
             continue
         left, right = own[np.maximum(after - 1, 0)], own[np.minimum(after, own.size - 1)]
-        # At either end of a recording there is one neighbour.
+        # At either end of a recording a row has one neighbour.
         has_left, has_right = ((side < rows) == before for side, before in ((left, True), (right, False)))
         has_left, has_right = has_left & (bag[left] == bag[rows]), has_right & (bag[right] == bag[rows])
         left, right = np.where(has_left, left, right), np.where(has_right, right, left)
@@ -101,7 +102,7 @@ def _between(column: Floats, bag: Integers, period: float, longest: int) -> Rows
 
 
 def _apart(difference: Floats, period: float) -> Floats:
-    """Size of differences; of angles within a turn, the short way."""
+    """Magnitude of differences; the shorter way for angles within a turn."""
     if period < inf:
         difference = np.remainder(difference + 0.5 * period, period) - 0.5 * period
     return np.abs(difference)

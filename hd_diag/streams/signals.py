@@ -1,4 +1,4 @@
-"""Signals as robots publish them: message, field and unit of a joint's quantity."""
+"""Signals as robots publish them: message, field and unit of each quantity of a joint."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from hd_diag.arrays import Floats, Integers
 from hd_diag.streams.columns import JointStates
 
 ROLES = ("input", "output", "torque", "temperature")
-"""What a joint's signals are."""
+"""Roles of a joint's signals."""
 
 _TURN = 2.0 * math.pi
 _ANGLES = {"rad": 1.0, "deg": _TURN / 360.0, "turns": _TURN}
 _COUNTS = re.compile(r"counts/(\d+(?:\.\d+)?)")
 _ZERO_CELSIUS = 273.15  # [K]
-_COUNTER = 2.0**16  # counts after which a small counter starts again
-_ALIKE = 0.6  # of difflib's ratio: above it words are close
-_SHORT = 3  # letters, of a beginning that may stand for a name
+_COUNTER = 2.0**16  # counts after which a small counter wraps
+_ALIKE = 0.6  # difflib's ratio from which words are close
+_SHORT = 3  # least letters of a beginning that may stand for a name
 _LONGEST = 80  # characters of a name that are compared
 
 
 class Unit(NamedTuple):
-    """SI (degree Celsius for temperatures) is factor times value plus offset.
+    """Conversion of a value: factor times value plus offset is in SI, or degree Celsius for temperatures.
 
-    A rate is an angle per second; a current is ampere, for users who know N m per ampere.
+    A rate is an angle per time. A current is in ampere, for users who know the N m per ampere.
     """
 
     factor: float
@@ -42,7 +42,7 @@ class Unit(NamedTuple):
 
     @property
     def counter(self) -> float:
-        """What 16 bits of counts are [rad]; 0 where nothing is counted."""
+        """Angle of 16 bits of counts [rad]; 0 if the unit is not counts."""
         return _COUNTER * abs(self.factor) * self.is_counts
 
 
@@ -75,9 +75,9 @@ _OTHERWISE = {
 
 
 def unit(role: str, text: str) -> Unit:
-    """Unit of a quantity, one of `ROLES` or ``time``, by its name; ValueError names those that there are.
+    """Unit of a quantity, one of `ROLES` or ``time``, by its name; a ValueError lists the known ones.
 
-    Of an encoder's counts it is ``counts/4096``: so many to the turn.
+    Counts of an encoder have the unit ``counts/4096``, with the number of counts per turn.
     """
     text = _OTHERWISE.get(text, text)
     known = _UNITS["angle" if role in ("input", "output") else role]
@@ -93,7 +93,7 @@ def unit(role: str, text: str) -> Unit:
 
 
 def is_unit(text: str) -> bool:
-    """Whether it is the name of any unit."""
+    """Whether a text is the name of any unit."""
     name = _OTHERWISE.get(text, text)
     return bool(_COUNTS.fullmatch(name)) or any(name in known for known in _UNITS.values())
 
@@ -102,9 +102,9 @@ def is_unit(text: str) -> bool:
 class Signal:
     """Place of a quantity in a message.
 
-    Topic, empty for every one with joint states; type of its messages, as ``package/msg/Name``; path of the
-    field, as `hd_diag.messages.field_path` has it; index of arrays that have none in the path; unit, with
-    scale and sign in it; whether the time of reception is taken for the stamp.
+    `topic` is empty for any topic with joint states. `type_name` is ``package/msg/Name``. `field` is a path
+    as in `hd_diag.messages.field_path`. `name` is the index of arrays that have none in the path. `unit`
+    includes scale and sign. With `by_reception` the time of reception replaces the stamp.
     """
 
     topic: str
@@ -116,7 +116,7 @@ class Signal:
 
 
 class JointSignals(NamedTuple):
-    """Signals of a joint; None for one that has its usual place."""
+    """Signals of a joint; None for a signal in its usual place."""
 
     input: Signal | None = None
     output: Signal | None = None
@@ -138,12 +138,12 @@ USUAL = JointSignals()
 
 
 def key(joint: str, role: str) -> str:
-    """Name of a signal's column."""
+    """Key of a signal's column."""
     return f"{joint}.{role}"
 
 
 def temperatures(states: JointStates) -> dict[str, Floats]:
-    """Columns of temperatures among signals, by joint [degree Celsius]."""
+    """Temperature columns among the signals, by joint [degree Celsius]."""
     if states.signals is None:
         return {}
     end = key("", "temperature")
@@ -161,9 +161,9 @@ def temperature_changes(shapes: Sequence[JointStates]) -> Integers:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """The name of some that may be meant by another; empty where none is like it.
+    """The known name that `name` may mean; empty if none is similar.
 
-    Names with dots are alike where their parts are: all of those given, or else the last of them.
+    Names with dots are compared part by part: first by all parts of `name`, then by its last part alone.
     """
     every, parts = [*known], name[:_LONGEST].casefold().split(".")
     likeness = functools.cache(_likeness)
@@ -177,13 +177,13 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 
 def _fit(wanted: Sequence[str], parts: Sequence[str], likeness: Callable[[str, str], float]) -> float:
-    """How far some parts are found in a row among others: by the pair that is least alike."""
+    """How well `wanted` matches consecutive parts: likeness of the worst pair, at the best place."""
     places = range(len(parts) - len(wanted) + 1)
     rows = (zip(wanted, parts[at:], strict=False) for at in places)
     return max((min(likeness(*pair) for pair in row) for row in rows), default=0.0)
 
 
 def _likeness(one: str, other: str) -> float:
-    """Likeness of a written word and a name; the word may be the name's beginning."""
+    """Likeness of a word and a name, 0 to 1; the word may be the beginning of the name."""
     begins = len(one) >= _SHORT and other.startswith(one)
     return max(difflib.SequenceMatcher(None, one, other).ratio(), _ALIKE * begins)
