@@ -31,7 +31,7 @@ class Drive:
     cup_compliance : float
         c_cup, torsion of cup and output per torque beyond the teeth's [rad/(N m)], not negative.
     accuracy : float
-        Peak-to-peak transmission error that the catalogue allows [rad], positive; so much is normal.
+        Peak-to-peak transmission error that the catalogue allows [rad], positive; it counts as normal.
 
     Raises
     ------

@@ -115,7 +115,7 @@ class ExtendedModel:
 
         Columns (n,): time, rising [s]; input angle as reported, continuous over the turns [rad]; input speed
         as reported [rad/s], computed from the angles where it is None or nan; torque on the link [N m];
-        temperature [degree Celsius]. The table is a map of the drive's mesh. nan where the teeth cannot bear.
+        temperature [degree Celsius]. The table is a map of the drive's mesh. nan if the teeth cannot bear it.
         """
         if not time.size:
             return np.empty(0), state

@@ -59,7 +59,7 @@ def joint_values(given: Mapping[str, Value], teeth: bool = True) -> tuple[dict[s
         values["sections"] = SECTIONS
     drive = drive_from({**values, **given}, teeth)
     values |= scaled(drive)
-    # Limits are for what an assembly adds to the overlap at rest, from the page's curve or a cup's coning.
+    # Raise limits by the overlap at rest, from the page's curve or a cup's coning: an assembly adds to it.
     if page or (drive.mesh.geometry.cup_length and drive.mesh.geometry.sections > 1):
         values |= {name: rounded(values[name] + rest) for name, rest in _at_rest(drive.mesh).items()}
     for name in LIMITS:  # if only an error limit is given, its warning limit must not be above it

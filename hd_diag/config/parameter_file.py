@@ -94,7 +94,7 @@ def for_any_node(path: str | Path) -> str:
 
 
 def is_for(section: str, node: str) -> bool:
-    """Whether ROS applies a file's section to a node of a full name; ``*`` is one name, ``**`` any number."""
+    """Whether ROS applies a file's section to a node, by its full name; ``*`` is one name, ``**`` any."""
     parts = section.strip("/").split("/")
     pattern = "".join({"**": r"(/\w+)*", "*": r"/\w+"}.get(part, f"/{re.escape(part)}") for part in parts)
     return re.fullmatch(pattern, node) is not None

@@ -75,7 +75,7 @@ class Characteristics:
         Eccentricities [m], each with that amplitude [rad].
     limit : (float, float)
         The eccentricity at which the overlap of the lobes is the most that an assembly may have [m], and its
-        amplitude [rad]; nan if they overlap so far without eccentricity, or at none that is possible.
+        amplitude [rad]; nan if they overlap so far without eccentricity, or at none in the search range.
     """
 
     module: float

@@ -18,7 +18,7 @@ ASSUMED_PROFILE = (
     "backlash of single teeth, the eccentricity of the first interference and forces on teeth are those of "
     "the assumed profile"
 )
-"""Note wherever these values of a drive from a page are shown."""
+"""Note to show with these values of a drive from a page."""
 
 
 class Page(NamedTuple):

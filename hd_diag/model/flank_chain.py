@@ -14,7 +14,7 @@ from hd_diag.arrays import Complexes
 from hd_diag.model.tooth_profile import DoubleArc
 
 TOLERANCE = 1e-7
-"""Distance within which a chain follows points [m]: the accuracy of flank measurement."""
+"""Distance within which a chain follows points [m]: 0.1 µm, the accuracy of flank measurements."""
 
 _STRAIGHT = 1e-6  # [rad]; a piece that turns less is a line
 _SMOOTH = 1e-3  # [rad]; allowed change of direction where two pieces meet

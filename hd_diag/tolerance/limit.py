@@ -351,7 +351,7 @@ class _Search:
         return of_moments(found, self.drive.cup_compliance, self.reference)[:, :, 0]
 
     def _width(self, size: float, direction: float) -> Worst:
-        """Peak-to-peak torsion of a turn at one direction of the displacement, and place of the greatest."""
+        """Peak-to-peak torsion of a turn at one direction of the displacement, and place of its maximum."""
         mesh = self._displaced(size, direction)
         count = _TURN_PHASES * mesh.geometry.circular_spline_teeth
         step = 2.0 * math.pi / count

@@ -49,7 +49,7 @@ def indices(
     The model takes numbers (n, factors) and gives outputs (n, outputs); samples are a power of two.
 
     Saltelli et al., "Variance based sensitivity analysis of model output", Computer Physics Communications
-    181, 2010, in scipy.stats.sobol_indices; intervals are percentiles over resampled samples.
+    181, 2010, in scipy.stats.sobol_indices; intervals are percentiles over bootstrap resamples.
     """
     from scipy.stats import qmc  # imported here: it takes half a second
 

@@ -233,7 +233,10 @@ def balance(flanks: Flanks, torque: float) -> float:
 
 @part
 def _first_guess(flanks: Flanks, torque: float) -> float:
-    """Middle of the preload; in a true gap, beyond the solution: as if the loaded side's every flank bore."""
+    """Start of the iteration: middle of the preload, or (true gap) as if all flanks of the loaded side bore.
+
+    In a true gap it is beyond the solution.
+    """
     if flanks.low >= flanks.high:
         return 0.5 * (flanks.low + flanks.high)
     stiffness, moment = bearing(flanks, math.inf if torque > 0.0 else -math.inf)
