@@ -6,33 +6,33 @@ Two flows use the same columns, the same alignment and the same model::
     offline  bag -> messages -> streams -> diagnosis: record -> findings -> fit -> residual -> search for
              causes -> refit -> held-out gain -> verdict -> report
 
-A replay is the live flow fed from a bag. Time is a message's stamp; a monotonic clock times silence alone.
+A replay is the live flow fed from a bag. Time is a message's stamp; a monotonic clock only times silence.
 
 Rooms. Each imports only those above it:
 
 =================== ===================================================================================
-arrays              names of array types; beside it `formatting`, `memory`, `process_pool`, `whole_file`
+arrays              names of array types; also `formatting`, `memory`, `process_pool`, `whole_file`
 model               the mechanics: frames and signs, geometry, contact, load sharing, torsion and its map
 drive               one drive: a mesh in its frame, with ratio and rated torque
-gears               a drive from its catalogue page, and what a drive is in such a page's numbers
+gears               a drive from its catalogue page, and the characteristics of a drive in a page's terms
 effects             causes that the model leaves out
 extended_model      a drive with causes
 streams             columns of samples; input, output and torque aligned; clock rules
-monitor             what runs: predictions, health, orders of the residual; rows in, rows out
-diagnosis           what the model gets wrong in a record, and why
+monitor             the running part: predictions, health, orders of the residual; rows in, rows out
+diagnosis           errors of the model in a record, and their causes
 config              parameters and files of them, as checked joints
 messages            ROS messages as bytes, without ROS
 bag                 reading, writing and recovering recordings
-records             what bags and CSV files hold of joints
-public              what ``import hd_diag`` offers to a notebook
+records             records of joints from bags and CSV files
+public              functions that ``import hd_diag`` offers to a notebook
 replay              events of a log, and the monitor over a bag
 simulation          simulated joints, and bags of them
 ros                 the node
 tolerance           studies over many drives
 report              a bag or a verdict on one page
-fleet               studies over many bags, and how each joint stands
+fleet               studies over many bags, and the state of each joint
 watch               a running node in the terminal
-cli                 one module a verb
+cli                 one module per verb
 =================== ===================================================================================
 """
 
@@ -54,7 +54,7 @@ __all__ = ["diagnose", "gear", "load", "mesh_state", "read", "transmission_error
 
 
 def __getattr__(name: str) -> Any:
-    """A name of `hd_diag.public`, which is loaded when one is first used."""
+    """A name of `hd_diag.public`, which is imported at the first use of one."""
     if name not in __all__:
         raise AttributeError(f"module 'hd_diag' has no attribute {name!r}")
     from importlib import import_module

@@ -7,11 +7,11 @@ import sys
 
 from hd_diag.memory import watch_limit
 
-atexit.register(gc.freeze)  # at the end nobody looks through all objects once more, which takes 0.25 s
+atexit.register(gc.freeze)  # skips a last garbage collection at exit, which takes 0.25 s
 
 
 def _open_streams() -> None:
-    """Lead standard streams that are closed to nowhere: the next file would get their number."""
+    """Open closed standard streams on the null device; the next file would get their number otherwise."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:
             os.open(os.devnull, os.O_RDWR)  # gets the lowest number that is free
@@ -22,9 +22,9 @@ def main() -> None:
     """Entry point of the ``hd-diag`` command."""
     _open_streams()
     is_node = sys.argv[1:2] == ["node"]
-    if not is_node:  # ROS writes its log past Python
+    if not is_node:  # in a node ROS writes its log past Python
         watch_limit()
-    gc.disable()  # until a verb works: imports leave no garbage, and looking for it is a sixth of a start
+    gc.disable()  # until a verb runs: imports leave no garbage, and collecting takes a sixth of a start
     try:
         from hd_diag.ros.stop_signals import note_signals, raise_signals
 

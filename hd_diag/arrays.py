@@ -9,7 +9,7 @@ Integers = npt.NDArray[np.int64]
 Times = npt.NDArray[np.int64]
 """[ns]"""
 Rows = npt.NDArray[np.bool_]
-"""Which of some rows are meant."""
+"""Mask that selects rows."""
 Bytes = npt.NDArray[np.uint8]
 Steps = npt.NDArray[np.int16]
 """Whole steps of a quantity: the tables of a torsion map."""

@@ -1,4 +1,4 @@
-"""A drive: mesh, kinematics and values, and what can be computed of it at reported angles and torques."""
+"""A drive: mesh, kinematics and values; its mesh state and error at reported angles and torques."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ class Drive:
     cup_compliance : float
         c_cup, torsion of cup and output per torque beyond the teeth's [rad/(N m)], not negative.
     accuracy : float
-        Transmission error that the catalogue allows, peak to peak [rad], positive: what counts as normal.
+        Peak-to-peak transmission error that the catalogue allows [rad], positive; it counts as normal.
 
     Raises
     ------
     ValueError
-        Naming what cannot be: the ratio against the teeth, a sign.
+        If a value is impossible: a ratio that does not fit the teeth, or a wrong sign.
     """
 
     mesh: Mesh
@@ -70,7 +70,7 @@ class Drive:
 def mesh_state(drive: Drive, input_angle: Floats, cup_torque: Floats) -> MeshState:
     """Backlash and load of every tooth at reported input angles [rad] and torques on the cup [N m].
 
-    :meth:`Frame.cup_torque` gives these from torques on the link.
+    :meth:`Frame.cup_torque` converts torques on the link to torques on the cup.
     """
     return load_sharing.mesh_state(drive.mesh, drive.frame.wave_generator_angle(input_angle), cup_torque)
 
@@ -80,8 +80,8 @@ def transmission_error(
 ) -> Floats:
     """Predicted transmission error ``theta_out - theta_in / ratio`` (n,) [rad].
 
-    At input angles as reported (n,) [rad] and torques that the drive exerts on the link (n,) [N m]. The table
-    is a map of this drive's mesh; where it does not reach, and without one, the solution is exact.
+    Arguments are reported input angles (n,) [rad] and torques that the drive exerts on the link (n,) [N m].
+    The table is a map of this drive's mesh. Without one, and beyond its range, the solution is exact.
     """
     angle = drive.frame.wave_generator_angle(input_angle)
     cup_torque = drive.frame.cup_torque(torque)

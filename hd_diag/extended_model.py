@@ -1,4 +1,4 @@
-"""A drive with the causes that a diagnosis found: what it predicts, sample by sample or a record at once."""
+"""A drive with the causes that a diagnosis found; it predicts sample by sample or a record at once."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from hd_diag.effects.signals import Signals
 from hd_diag.model.torsion_map import STEPS_PER_TOOTH, TorsionMap, build
 
 TORQUE_RANGE = 2.0
-"""Torque that the map of a running joint reaches, over the rated torque [-]; beyond, it is exact."""
+"""Torque range of a running joint's map over the rated torque [-]; beyond it the exact solution is used."""
 
 
 class Term(NamedTuple):
-    """An effect at its size: its coefficients, and the values of its nonlinear quantities."""
+    """An effect with its coefficients and the values of its nonlinear quantities."""
 
     effect: Effect
     coefficients: tuple[float, ...]
@@ -37,7 +37,7 @@ class Range(NamedTuple):
 
 
 class Ranges(NamedTuple):
-    """What a model was fitted to: torque [N m], input speed [rad/s], temperature [degree Celsius] or None."""
+    """Ranges of the fitted data: torque [N m], input speed [rad/s], temperature [degree Celsius] or None."""
 
     torque: Range
     speed: Range
@@ -45,15 +45,15 @@ class Ranges(NamedTuple):
 
 
 class State(NamedTuple):
-    """What a model remembers of a stream.
+    """State of a model within a stream.
 
     Attributes
     ----------
     time, angle, predicted : float
-        Of the last sample [s], [rad], [rad]; nan before the first. `predicted` is what the stream of samples
-        gets: the drive's own error and that of all effects before it.
+        Values at the last sample [s], [rad], [rad]; nan before the first. `predicted` is the error that
+        enters effects of `Stage.STREAM`: the drive's own plus that of the gear and spring stages.
     speed : float
-        Of the input at the last sample [rad/s].
+        Input speed at the last sample [rad/s].
     effects : tuple
         States of the effects.
     """
@@ -77,7 +77,7 @@ class ExtendedModel:
     Parameters
     ----------
     drive : Drive
-        With its refitted parameters.
+        Drive with refitted parameters.
     effects : tuple of Term
     offset : float
         Added to the transmission error [rad].
@@ -85,9 +85,9 @@ class ExtendedModel:
 
     Notes
     -----
-    All signals are causal. The speed is what the joint reports, else the difference of the last two input
-    angles over their times; the rate of the prediction is a backward difference. The first sample is computed
-    as at rest and, where its speed is not reported, the effects' own state begins with the second.
+    All signals are causal. The speed is the reported one, otherwise the difference of the last two input
+    angles over their times. The rate of the prediction is a backward difference. The first sample is computed
+    at rest; if its speed is not reported, the state of the effects begins with the second sample.
     """
 
     drive: Drive
@@ -111,11 +111,11 @@ class ExtendedModel:
         temperature: Floats | None = None,
         table: TorsionMap | None = None,
     ) -> tuple[Floats, State]:
-        """Transmission error (n,) [rad] at the next samples, however many they are, and the state after them.
+        """Transmission error (n,) [rad] at the next n samples, and the state after them.
 
-        Columns (n,): time, rising [s]; input angle as reported, continuous over the turns [rad]; speed of the
-        input as reported [rad/s], or from the angles where it is None or nan; torque on the link [N m];
-        temperature [degree Celsius]. The table is a map of the drive's mesh. nan where a drive has no error.
+        Columns (n,): time, rising [s]; input angle as reported, continuous over the turns [rad]; input speed
+        as reported [rad/s], computed from the angles where it is None or nan; torque on the link [N m];
+        temperature [degree Celsius]. The table is a map of the drive's mesh. nan if the teeth cannot bear it.
         """
         if not time.size:
             return np.empty(0), state
@@ -165,20 +165,20 @@ class ExtendedModel:
 
     @cached_property
     def contact_table(self) -> ContactTable:
-        """Contact of the teeth up to the greatest torque of the fit, kept as long as the model.
+        """Contact of the teeth up to the greatest torque of the fit, cached with the model.
 
-        Many joints would push each other's out of a shared store.
+        In a shared cache many joints would evict each other's tables.
         """
         return ContactTable(self.drive, greatest_torque(self.drive, np.array(self.ranges.torque)))
 
     @cached_property
     def torsion_map(self) -> TorsionMap | None:
-        """The map that a node predicts from; None where the mesh has none: there the prediction is exact."""
+        """Torsion map for a node's predictions; None if the mesh has none: predictions are then exact."""
         return self._map(STEPS_PER_TOOTH)
 
     @cached_property
     def coarse_map(self) -> TorsionMap | None:
-        """The same to run along a record, built in an eighth of the time."""
+        """Coarser map to run along a record; it is built in an eighth of the time."""
         return self._map(MAP_STEPS)
 
     def _map(self, steps: int) -> TorsionMap | None:
@@ -196,7 +196,7 @@ class ExtendedModel:
         torque: Floats,
         temperature: Floats | None,
     ) -> Signals:
-        """What the effects are computed from; the prediction follows."""
+        """Signals that the effects are computed from; the caller adds the prediction."""
         step = _change(time, state.time)
         moved = _rate(_change(angle, state.angle), step)
         frame = self.drive.frame
@@ -222,6 +222,6 @@ def _change(values: Floats, before: float) -> Floats:
 
 
 def _rate(change: Floats, step: Floats) -> Floats:
-    """Change over time, zero where it is not known."""
+    """Change over time, zero where either is not known."""
     rising = np.isfinite(change) & (step > 0.0)
     return np.where(rising, change, 0.0) / np.where(rising, step, 1.0)

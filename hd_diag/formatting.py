@@ -23,14 +23,14 @@ SCALES = {
     "N m": (1.0, "N m"),
     "-": (1.0, ""),
 }
-"""Size and name of the unit that people read, by the unit inside."""
+"""Size and name of the displayed unit, by the SI unit."""
 
 
 def number(value: float, spread: float = math.nan, digits: int = _DIGITS) -> str:
-    """A number, rounded to the first digit of its spread; to the second where the first is a 1.
+    """A number, rounded to the first digit of its spread; to the second if the first is a 1.
 
-    The spread is a standard deviation; where it is nan or zero the number has so many significant digits. A
-    dash where the value is not finite.
+    The spread is a standard deviation. If it is nan or zero, the number has `digits` significant digits. A
+    value that is not finite is shown as a dash.
     """
     if not math.isfinite(value):
         return "–"
@@ -44,12 +44,12 @@ def number(value: float, spread: float = math.nan, digits: int = _DIGITS) -> str
 
 
 def rounded(value: float, digits: int = _DIGITS) -> float:
-    """A number with so many significant digits."""
+    """A number with `digits` significant digits."""
     return float(f"{value:.{digits}g}")
 
 
 def _signed(text: str) -> str:
-    """With a true minus, and none before a zero."""
+    """A number's text with a true minus sign, and with none before a zero."""
     return text.removeprefix("-") if not text.strip("-0.") else text.replace("-", "−")
 
 
@@ -61,20 +61,20 @@ def spread_number(value: float, spread: float, unit: str) -> str:
 
 
 def si(value: float, spread: float, unit: str) -> str:
-    """A value in SI, in the unit that people use for it."""
+    """An SI value and its standard deviation in the displayed unit."""
     scale, shown = SCALES.get(unit, (1.0, unit))
     return spread_number(value / scale, spread / scale, shown)
 
 
 def size(value: float, unit: str) -> str:
-    """The same of a value that has no standard deviation."""
+    """An SI value without a standard deviation in the displayed unit."""
     return si(value, math.nan, unit)
 
 
 def direction(value: float, spread: float, period: float) -> str:
-    """A direction [rad] in degrees, with the turn after which it is the same again."""
+    """A direction [rad] in degrees, with its period."""
     angle, turn, std = (math.degrees(each) for each in (value % period, period, spread))
-    shown = 0.0 if number(angle, std) == number(turn, std) else angle  # 180.00 modulo 180 is none
+    shown = 0.0 if number(angle, std) == number(turn, std) else angle  # 180.00 modulo 180 is 0
     text = spread_number(shown, std, "°").replace(" °", "°")
     return f"{text} (modulo {math.degrees(period):.0f}°)" if period < 6.28 else text
 
@@ -85,7 +85,7 @@ def arcsec(value: float) -> str:
 
 
 def percent(share: float, decimals: int = 1) -> str:
-    """A share in percent, cut off where rounding would make it the whole: 99.9 % is not all."""
+    """A share in percent; one below the whole is never rounded up to it: 99.9 % is not all."""
     step = 10.0**-decimals
     shown = 100.0 - step if 100.0 - 0.5 * step <= 100.0 * share < 100.0 else 100.0 * share
     return f"{_signed(f'{shown:.{decimals}f}')} %" if math.isfinite(share) else "–"
@@ -102,15 +102,15 @@ def words(name: str) -> str:
 
 
 def listed(names: Sequence[str], most: int) -> str:
-    """Names with commas between, no more of them than `most`."""
+    """Names separated by commas, at most `most` of them, then the number of the others."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more
 
 
 def visible(text: str, longest: int | None = None) -> str:
-    """Text with every character that does not print, or that turns the direction of others, spelled out.
+    """Text with escapes for characters that do not print or that change the direction of others.
 
-    Text from a file may be hostile; it is cut off after the `longest` number of characters.
+    Text from a file may be hostile; it is cut to the `longest` number of characters.
     """
     part = text if longest is None else text[: longest + 1]
     shown = part if part.isprintable() else "".join(map(_spelled, part))

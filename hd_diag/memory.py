@@ -1,4 +1,4 @@
-"""Memory that a process needed for a while, given back; what a lack of it looks like."""
+"""Return of memory that a process needed for a while, and detection of too little memory."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _DONT_NEED = 4  # MADV_DONTNEED
 _MMAP_THRESHOLD, _LARGE = -3, 1 << 15  # M_MMAP_THRESHOLD [byte]
 _LLVM = re.compile(r"^(\w+)-(\w+) r-.p .*libllvmlite\.so\n(?:[A-Z]\w+:.*\n)*?Anonymous: +0 kB$", re.MULTILINE)
 
-_LEAST = 250_000 << 10  # address space [byte] that OpenBLAS needs twice, numpy's and scipy's
-# What the loader of libraries, LLVM and a thread's start say.
+_LEAST = 250_000 << 10  # address space [byte] for OpenBLAS, which numpy and scipy each load
+# Messages of the loader of libraries, of LLVM and of a thread's start.
 _NO_ROOM = "cannot allocate memory", "failed to map segment", "can't start new thread", "out of memory"
 
 
 def give_back() -> None:
-    """Give back free memory, and the pages of LLVM's code, which are read again should they be needed."""
+    """Return free memory and the pages of LLVM's code, which are read again if they are needed."""
     gc.collect()
     with contextlib.suppress(AttributeError, OSError):  # another libc than GNU's, or no /proc
         libc = ctypes.CDLL(None)
@@ -36,19 +36,19 @@ def give_back() -> None:
 
 
 def map_large_arrays() -> None:
-    """Have arrays from 32 KiB on given back when they are freed: GNU's libc keeps such rooms once one was."""
+    """Return freed arrays of 32 KiB and more to the system: GNU's libc keeps them once one was freed."""
     with contextlib.suppress(AttributeError, OSError):
         ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, _LARGE)
 
 
 def _unchanged() -> Iterator[tuple[int, int]]:
-    """Where code and constants of LLVM lie that are as in its file; tables of addresses there are not."""
+    """Address ranges of LLVM's code and constants that equal its file; its tables of addresses do not."""
     for found in _LLVM.finditer(Path("/proc/self/smaps").read_text()):
         yield int(found[1], 16), int(found[2], 16)
 
 
 def causes(error: BaseException | None) -> Iterator[BaseException]:
-    """An error, what it comes from, and so on; one that was raised again may be its own context."""
+    """An error and its chain of causes; an error that was raised again may be its own context."""
     passed: list[BaseException] = []
     while error is not None and error not in passed:
         passed.append(error)
@@ -57,7 +57,7 @@ def causes(error: BaseException | None) -> Iterator[BaseException]:
 
 
 def is_memory(error: BaseException) -> bool:
-    """Whether an error, or what caused it, says that the memory or a limit of it does not suffice."""
+    """Whether an error, or one in its chain of causes, reports too little memory or a limit of it."""
     return any(map(_is_memory, causes(error)))
 
 
@@ -68,11 +68,11 @@ def _is_memory(error: BaseException) -> bool:
 
 
 def watch_limit() -> None:
-    """Go on in a process of its own under ``ulimit -v``; end with 2 where it is too low.
+    """Under ``ulimit -v`` continue in a child process; exit with 2 if the limit is too low.
 
     Libraries then end a process in their own ways: OpenBLAS by ``exit(1)``, the loader by 127, LLVM by an
-    abort, each with words of its own on descriptor 2, which that process does without. OpenBLAS asks for
-    room without end where little is left: it is loaded first.
+    abort, each with its own message on descriptor 2. The child therefore leads descriptor 2 to the null
+    device. OpenBLAS asks for memory without end when little is left, so it is loaded first.
     """
     if (limit := resource.getrlimit(resource.RLIMIT_AS)[0]) < 0:
         return
@@ -88,8 +88,8 @@ def watch_limit() -> None:
     signal.pthread_sigmask(signal.SIG_UNBLOCK, watched)
     sys.stderr = open(os.dup(2), "w", buffering=1, errors="backslashreplace")  # noqa: SIM115
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-    atexit.register(os.write, told, b".")  # what C ends does not come here
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # each thread takes room of its own
+    atexit.register(os.write, told, b".")  # does not run if C ends the process
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # each thread takes memory of its own
     with contextlib.suppress(Exception):
         import_module("scipy.linalg")
 
@@ -97,7 +97,7 @@ def watch_limit() -> None:
 def _code_of(child: int, watched: set[signal.Signals]) -> int:
     """Exit code of a process; signals are passed on to it."""
     while (came := signal.sigwaitinfo(watched)).si_signo != signal.SIGCHLD:
-        if came.si_code <= 0:  # of a process; a terminal's comes to both
+        if came.si_code <= 0:  # sent by a process; a terminal's signal reaches both
             os.kill(child, came.si_signo)
     code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     return 128 - code if -code in (signal.SIGKILL, signal.SIGINT, signal.SIGTERM, signal.SIGHUP) else code

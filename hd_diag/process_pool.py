@@ -23,7 +23,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 ATTEMPTS = 3
-"""How often a task is tried whose worker dies."""
+"""Number of attempts at a task whose worker dies."""
 
 _PATIENCE = 0.2  # between calls of `tick` [s]
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -31,7 +31,7 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA
 
 @dataclass(frozen=True)
 class Failure:
-    """A task that gave no result, why, and whether its worker died."""
+    """A task that gave no result: the reason, and whether its worker died."""
 
     text: str
     died: bool = False
@@ -41,13 +41,13 @@ class Pool(Protocol):
     """Workers; each does one task at a time."""
 
     def workers(self) -> Iterable[Any]:
-        """Those that are there."""
+        """Workers that are present, busy or idle."""
 
     def send(self, worker: Any, function: Callable[[Any], Any], item: Any) -> Any:
         """Give a worker a task and return its handle."""
 
     def done(self, at_work: Mapping[Any, Any], patience: float) -> list[tuple[Any, Any]]:
-        """Of tasks with their workers those that have ended, with result or `Failure`; waits at most [s]."""
+        """Tasks at work that have ended, with result or `Failure`; waits at most `patience` [s]."""
 
 
 def run(
@@ -59,9 +59,9 @@ def run(
 ) -> Iterator[tuple[int, Result | Failure]]:
     """Call a function with many items, started in their order, and yield index and outcome as each comes.
 
-    The function is of a module that workers can import; what it raises becomes a `Failure`. So does an item
-    that takes longer than the timeout [s] (0 = any), for which its worker is killed, and one whose worker
-    died in `ATTEMPTS` attempts. `tick` is called several times a second; what it raises ends the run.
+    The function must be in a module that workers can import. An exception becomes a `Failure`. So does an
+    item that takes longer than the timeout [s] (0 = none), whose worker is killed, and one whose worker died
+    in `ATTEMPTS` attempts. `tick` is called several times a second; an exception of it ends the run.
     """
     waiting, numbers, at_work = deque(range(len(items))), dict[Any, int](), dict[Any, Any]()
     deaths, started = [0] * len(items), [0.0] * len(items)
@@ -91,9 +91,9 @@ def run(
 
 
 def _attempt(function: Callable[[Any], Any], timeout: float, item: Any) -> Any:
-    """The function's result, or a `Failure` for what it raised: not every exception can be pickled.
+    """The function's result, or a `Failure` for an exception, because not every exception can be pickled.
 
-    The system ends the process where it takes longer [s] (0 = any), wherever it hangs.
+    The system ends the process after the timeout [s] (0 = none), wherever it hangs.
     """
     signal.setitimer(signal.ITIMER_REAL, timeout)
     try:
@@ -109,7 +109,7 @@ def _attempt(function: Callable[[Any], Any], timeout: float, item: Any) -> Any:
 class ProcessPool:
     """Processes of this machine; the death of one costs only its own task. They start with their first task.
 
-    Each may have so much memory [byte]; 0 is any.
+    `memory` is the limit of each process [byte]; 0 is no limit.
     """
 
     def __init__(self, jobs: int, memory: int = 0) -> None:
@@ -119,7 +119,7 @@ class ProcessPool:
         self._lanes = [self._lane() for _ in range(jobs)]
 
     def _lane(self) -> ProcessPoolExecutor:
-        # One process in each: an executor of several fails as a whole and does not say which task killed it.
+        # One process per lane: an executor of several fails as a whole and does not say which task killed it.
         return ProcessPoolExecutor(1, self._context, _begin, (self._memory,))
 
     def map(
@@ -180,7 +180,7 @@ class ProcessPool:
 
 @contextlib.contextmanager
 def _one_thread() -> Iterator[None]:
-    """Processes that start in here compute on one thread each: the pool has a process for every core."""
+    """Processes that start in this context compute on one thread: the pool has a process for every core."""
     before = {name: os.environ[name] for name in _THREADS if name in os.environ}
     os.environ.update(dict.fromkeys(_THREADS, "1"))
     try:
@@ -194,10 +194,10 @@ def _one_thread() -> Iterator[None]:
 def _begin(memory: int) -> None:
     """Set up a process: Ctrl-C is left to the parent, and the process ends when its parent ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    warnings.simplefilter("ignore", RuntimeWarning)  # numpy's, of nan
+    warnings.simplefilter("ignore", RuntimeWarning)  # numpy's warnings of nan
     threading.Thread(target=_follow_parent, daemon=True).start()
     if memory:
-        # A task that does not fit in is told as a Failure; multiprocessing would print where it died.
+        # A Failure reports a task that does not fit; multiprocessing would print a traceback, too.
         sys.stderr = open(os.devnull, "w")  # noqa: SIM115
         resource.setrlimit(resource.RLIMIT_DATA, (memory, resource.getrlimit(resource.RLIMIT_DATA)[1]))
 

@@ -1,4 +1,4 @@
-"""The package in a notebook: a drive, one moment of it, a record and its diagnosis, in a few lines.
+"""The package in a notebook: a drive, its state at one moment, a record and its diagnosis, in a few lines.
 
 ``import hd_diag`` offers all of it and loads nothing until a name is used. The page "In Python" has examples.
 """
@@ -40,7 +40,7 @@ def load(file: str | Path) -> dict[str, JointConfig]:
     Raises
     ------
     ConfigError
-        Naming the parameter, its value and what was expected.
+        If a parameter is invalid; the message names it, its value and what was expected.
     """
     return {joint.name: joint for joint in configuration.load(file).joints}
 
@@ -53,9 +53,9 @@ def gear(name: str | Mapping[str, Any] | None = None, /, **values: Any) -> Drive
     name : str or mapping, optional
         A gear of the table, as CSG-25-100, or the values.
     **values
-        Of the page: `size` [0.1 inch] or `pitch_diameter` [m], `ratio` [-], `rated_torque`, `t1`, `t2` [N m],
-        `k1`, `k2`, `k3` [N m/rad], `lost_motion` [rad]; and of the joint, by the names in a parameter file:
-        ``eccentricity={"magnitude": 5e-6, "direction": 0.0}``. They beat the table's.
+        Values of the page: `size` [0.1 inch] or `pitch_diameter` [m], `ratio` [-], `rated_torque`, `t1`, `t2`
+        [N m], `k1`, `k2`, `k3` [N m/rad], `lost_motion` [rad]. Values of the joint have their names in a
+        parameter file: ``eccentricity={"magnitude": 5e-6, "direction": 0.0}``. All override the table's.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def gear(name: str | Mapping[str, Any] | None = None, /, **values: Any) -> Drive
             given = dict(named(name)[1].given)
         except ValueError as error:
             raise ConfigError(str(error)) from error
-        given["ratio"] += values.get("output") == "circular_spline"  # the page's is of a fixed one
+        given["ratio"] += values.get("output") == "circular_spline"  # the page's is for a fixed one
     elif name is not None:
         given = dict(name)
     own = flatten({**given, **values})
@@ -85,8 +85,8 @@ def mesh_state(drive: Drive, angle: npt.ArrayLike, torque: npt.ArrayLike) -> Mes
     angle : float or array (moments,)
         Input angle as reported [rad].
     torque : float or array (moments,)
-        That turns the cup counter-clockwise [N m]: for one that the drive exerts on the link,
-        ``drive.frame.cup_torque(torque)``.
+        Torque that turns the cup counter-clockwise [N m]. ``drive.frame.cup_torque(torque)`` gives it from a
+        torque that the drive exerts on the link.
     """
     return core.mesh_state(_checked(drive), *_moments(angle, torque))
 
@@ -94,7 +94,8 @@ def mesh_state(drive: Drive, angle: npt.ArrayLike, torque: npt.ArrayLike) -> Mes
 def transmission_error(drive: Drive, angle: npt.ArrayLike, torque: npt.ArrayLike) -> Floats:
     """Output angle less input angle over ratio (moments,) [rad].
 
-    At input angles as reported [rad] and torques that the drive exerts on the link [N m], floats or arrays.
+    Arguments are reported input angles [rad] and torques that the drive exerts on the link [N m]; both are
+    floats or arrays.
     """
     return core.transmission_error(_checked(drive), *_moments(angle, torque))
 
@@ -112,20 +113,20 @@ def read(
     files : path or sequence of paths
         Each begins a new run.
     joint : JointConfig or str
-        Of :func:`load`: it says where the joint's signals are. A name alone is the joint's in the joint
-        states, with the motor's angle under the name with ``_motor``.
+        Joint of :func:`load`, which says where its signals are. A name alone is that of the joint in the
+        joint states; the motor's angle then has the name with ``_motor``.
     columns : mapping, optional
         Columns by what they hold (time, input, output, torque, temperature), each with its unit in brackets
         where it is not SI: ``{"input": "motor[deg]"}``.
     rate : float
-        Of CSV files without a column of time [Hz].
+        Sampling rate of CSV files without a column of time [Hz].
 
     Raises
     ------
     BagError, RecordError
-        Saying why there is nothing that can be judged.
+        If nothing can be judged; the message says why.
     TypeError
-        For all joints of a file instead of one.
+        If `joint` is all joints of a file instead of one.
     """
     if isinstance(joint, str):
         joint = configuration.resolve({"joints": [joint]}).joints[0]
@@ -143,7 +144,7 @@ def read(
 
 
 def diagnose(record: Record, drive: Drive, seed: int = 0) -> Diagnosis:
-    """What the model of a drive gets wrong in a record, and why; :func:`verdict` says it.
+    """Errors of a drive's model in a record, and their causes; :func:`verdict` puts them into a sentence.
 
     The same seed gives the same numbers. It takes some seconds, and a minute the first time on a machine.
     """
@@ -155,7 +156,7 @@ def diagnose(record: Record, drive: Drive, seed: int = 0) -> Diagnosis:
 
 
 def verdict(diagnosis: Diagnosis, joint: str = "joint_1") -> dict[str, Any]:
-    """What ``hd-diag diagnose --json`` writes: ``verdict`` is the sentence, ``causes`` the list; SI."""
+    """Content of ``hd-diag diagnose --json``, in SI: ``verdict`` is the sentence, ``causes`` the list."""
     return as_json(diagnosis, joint)
 
 

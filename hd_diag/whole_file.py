@@ -1,4 +1,4 @@
-"""Files that are replaced only by what is whole."""
+"""Files that are replaced only by complete ones."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from tempfile import TemporaryDirectory
 
 @contextmanager
 def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Where to write a file, put in its place when it is whole and on the disk.
+    """Path to write a file at; the file moves to its place when it is complete and on the disk.
 
-    Until then, and after an exception, what was there before stays. A link stays one: what it leads to is
-    replaced. Pipes and devices are written to, as are files of a folder where nothing new can be made.
+    Until then, and after an exception, the old file stays. A link stays a link, and its target is replaced.
+    Pipes and devices are written directly, and so are files in a folder that is not writeable.
     """
     target = Path(os.path.realpath(path))
     if (target.exists() and not target.is_file()) or not os.access(target.parent, os.W_OK):

@@ -1,4 +1,4 @@
-"""What a configured joint is, in a catalogue's numbers, and what is wrong with it as a gear."""
+"""Assessment of a configured joint: its characteristics in a catalogue's terms, and warnings as a gear."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from hd_diag.gears.characteristics import (
 )
 from hd_diag.gears.page import Page
 
-_FAR = 1.5  # reached over given stiffness, either way [-]
-# Of the overlap that is warned of, without any eccentricity [-]; of a drive with a page, whose torsion curve
-# asks for up to 0.3 between all gears of the table.
+_FAR = 1.5  # factor between reached and given stiffness that is warned of [-]
+# Allowed overlap without eccentricity over its warning limit [-]; the second is for a drive with a page,
+# whose torsion curve needs up to 0.3 among all gears of the table.
 _BY_ITSELF, _BY_PAGE = 0.25, 0.5
-_DISSIMILAR_TEETH = 100  # of a flexspline; with fewer the profile of ratio 100 is hardly a gear's
+_DISSIMILAR_TEETH = 100  # of a flexspline; gears with fewer hardly have the profile of ratio 100
 _STEPS = ("k1", "k2", "k3")
 
 
@@ -34,8 +34,8 @@ _STEPS = ("k1", "k2", "k3")
 class Assessment:
     """A joint's characteristics, its catalogue page (None: it has none) and warnings, each one line.
 
-    `torsion` (3, 8) is what the page is compared at: torque [N m], torsion of the page and of the drive
-    without eccentricity [rad]; without a page (3, 0).
+    `torsion` (3, 8) compares the drive with the page: torque [N m], torsion of the page and of the drive
+    without eccentricity [rad]; (3, 0) without a page.
     """
 
     found: Characteristics
@@ -44,7 +44,7 @@ class Assessment:
     warnings: list[str]
 
     def content(self) -> dict[str, Any]:
-        """What `hd-diag check --json` and `gear --json` write of a joint; units are SI."""
+        """Content that `hd-diag check --json` and `gear --json` write for a joint; units are SI."""
         found = self.found
         return {
             "module": found.module,
@@ -64,7 +64,7 @@ class Assessment:
 
 
 def assess(config: Config, joint: JointConfig) -> Assessment:
-    """Assessment of one of a configuration's joints as it is configured."""
+    """Assessment of one joint of a configuration, as configured."""
     own = of_joint(config.flat, joint.name)
     page, drive = page_of(own), joint.configured
     t1, t2 = (page.t1, page.t2) if page else (own["gear.t1"], own["gear.t2"])
@@ -80,9 +80,9 @@ def assess(config: Config, joint: JointConfig) -> Assessment:
 
 
 def _warnings(found: Characteristics, page: Page | None, joint: JointConfig) -> Iterator[str]:
-    """Values that no gear has, or not that of the page; characteristics are those without eccentricity.
+    """Warnings of values that no gear has or that depart from the page; `found` is without eccentricity.
 
-    A cup's coning presses its teeth, as it should: whether curve and slots fit shows in the middle section.
+    A cup's coning presses the teeth by design, so only the middle section shows whether curve and slots fit.
     """
     drive, loads, limits = joint.configured, found.loads, joint.limits
     middle = replace(drive.mesh, geometry=replace(drive.mesh.geometry, sections=1), tilt=0.0)

@@ -1,4 +1,4 @@
-"""The catalogue of effects in force: the package's own, those of installed packages, and those of files."""
+"""The catalogue of effects in use: the package's own, those of installed packages, and those of files."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from hd_diag.effects import CATALOGUE, Catalogue
 from hd_diag.effects.effect import Effect
 
 GROUP = "hd_diag.effects"
-"""Entry points of installed packages, each an effect or several."""
+"""Group of entry points of installed packages; each gives one effect or several."""
 
 
 def load(files: Sequence[str | Path] = ()) -> Catalogue:
     """Effects of the package, then those of entry points, then those of files.
 
-    Files are of Python and define EFFECT, or several effects as EFFECTS. Raises ConfigError naming the file
-    or package whose effects cannot be used, and why.
+    Files are Python modules that define EFFECT, or several effects as EFFECTS. Raises ConfigError naming the
+    file or package whose effects cannot be used, and the reason.
     """
     found = _installed()
     for path in map(Path, files):
@@ -58,12 +58,12 @@ def _of_file(path: Path) -> Any:
 
 
 def _with(catalogue: Catalogue, where: str, source: Callable[[], Any]) -> Catalogue:
-    """The catalogue with an effect, or several, that something else defines."""
+    """The catalogue extended by one effect or several that `source` gives."""
     try:
         given = source()
     except ConfigError:
         raise
-    except Exception as error:  # whatever a file or package of others does
+    except Exception as error:  # foreign files and packages may raise anything
         reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
         raise ConfigError(f"{where}: cannot be loaded: {reason}") from error
     for effect in given if isinstance(given, (list, tuple)) else (given,):

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 __all__ = ["Config", "ConfigError", "JointConfig", "LogConfig", "ModelText", "dump", "load", "resolve"]
 
 _MOST_TEETH = 640  # ratio 320; the map of a drive takes 240 MB then
-# What a joint's arrays and its drawing take of a core, and each tooth of them [s]; how much both may take.
+# Time of a core per joint, and per tooth, for its arrays and its drawing [s]; share of a core for either [-].
 _ARRAYS_TIME, _DRAWING_TIME = (1.5e-4, 5e-7), (6e-4, 2.2e-6)
 _MOST_TIME = 0.5
 
@@ -71,8 +71,8 @@ class LogConfig:
 class Config(MonitorConfig):
     """A whole configuration.
 
-    `flat` holds every parameter by its full ROS name; `given` those that do not follow from others: from
-    these a configuration with other values is resolved.
+    `flat` holds every parameter by its full ROS name. `given` holds only those that do not follow from
+    others; a configuration with other values is resolved from these.
     """
 
     diagnostics_rate: float
@@ -97,16 +97,16 @@ def resolve(
     catalogue: Catalogue | None = None,
     teeth: bool = True,
 ) -> Config:
-    """Configuration from flat parameters, the others filled in, everything checked.
+    """Configuration from flat parameters; fills in the others and checks everything.
 
     Parameters are given by their full ROS names, e.g. ``joint_1.eccentricity.magnitude``. Others come from a
-    joint's catalogue page, go with its drive or have their defaults: :mod:`hd_diag.config.defaults`.
-    `model_text` gives the texts of model files, by default from disk, relative to the present folder; they
+    joint's catalogue page, scale with its drive or have their defaults: :mod:`hd_diag.config.defaults`.
+    `model_text` gives the texts of model files, by default from disk, relative to the current folder. They
     may hold the effects of `catalogue`, by default the package's and installed ones. Without `teeth` a ratio
-    need not be that of the teeth, for what asks nothing of them.
+    need not match the teeth, for uses that do not depend on them.
 
-    Raises ConfigError naming the first parameter that cannot be, its value and what was expected; for an
-    unknown one, the nearest known.
+    Raises ConfigError naming the first invalid parameter, its value and what was expected; for an unknown
+    one, the nearest known.
     """
     flat, kept, joints = _completed(given, teeth)
     configured = tuple(_joint(name, flat, model_text, catalogue, teeth) for name in joints)
@@ -126,7 +126,7 @@ def recorded_signals(given: Mapping[str, Any]) -> dict[str, JointSignals]:
 def load(path: str | Path, catalogue: Catalogue | None = None, teeth: bool = True) -> Config:
     """Configuration from a ROS parameter file.
 
-    Model files are looked for beside it, then in the present folder. Raises ConfigError naming the file and
+    Model files are searched beside it, then in the current folder. Raises ConfigError naming the file and
     what is wrong with it. See :func:`resolve` and :func:`hd_diag.config.parameter_file.read`.
     """
     try:
@@ -141,7 +141,7 @@ def dump(config: Config) -> str:
 
 
 def _completed(given: Mapping[str, Any], teeth: bool) -> tuple[dict[str, Value], dict[str, Value], list[str]]:
-    """Every parameter, each checked alone; those that do not follow from others; and the joints."""
+    """Every parameter, each checked on its own; those that do not follow from others; names of the joints."""
     given = spelled_out(given)
     joints = joint_names(given.get("joints", ["joint_1"]))
     known = parameters(joints)
@@ -196,11 +196,11 @@ def _joint(
 def _model(
     name: str, own: Mapping[str, Value], model_text: ModelText | None, catalogue: Catalogue | None
 ) -> tuple[ExtendedModel | None, str]:
-    """Extended model of a joint and the text of its file; None and nothing where it has none."""
+    """Extended model of a joint and the text of its file; None and an empty text if it has none."""
     path = own["model_file"]
     if not path:
         return None, ""
-    from hd_diag.config.model_file import model_for  # with all effects, and most have no model
+    from hd_diag.config.model_file import model_for  # loads all effects, and most joints have no model
 
     place = f"{name}.model_file: {path!a}"
     try:
@@ -214,7 +214,7 @@ def _model(
 
 
 def _check_rates(joints: tuple[JointConfig, ...], array_rate: float, mesh_rate: float) -> None:
-    """Raise ConfigError where arrays and drawings would take a core most of its time."""
+    """Raise ConfigError if arrays or drawings would take more than their share of a core."""
     teeth = np.array([joint.drive.mesh.geometry.flexspline_teeth for joint in joints])
     if teeth.max() > _MOST_TEETH:
         name = joints[int(teeth.argmax())].name

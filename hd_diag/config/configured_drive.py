@@ -26,9 +26,9 @@ _NAMES = {
 
 
 def drive_from(own: Mapping[str, Any], teeth: bool = True) -> Drive:
-    """Drive from a joint's parameters by their names within it; raises ValueError naming what cannot be.
+    """Drive from a joint's parameters by their names within it; raises ValueError naming what is impossible.
 
-    Without `teeth` the ratio need not be theirs: only kinematics, rated torque and accuracy hold.
+    Without `teeth` the ratio need not match the teeth; only kinematics, rated torque and accuracy then hold.
     """
     values: dict[str, Any] = {
         name: _flank(own, name) for name in ("flexspline_tooth", "circular_spline_slot")
@@ -44,7 +44,7 @@ def drive_from(own: Mapping[str, Any], teeth: bool = True) -> Drive:
 
 
 def geometry_parameters(geometry: Geometry) -> dict[str, Value]:
-    """Parameters of a joint that make a geometry."""
+    """Parameters of a joint that describe a geometry."""
     shape = next(name for name, cam in CAMS.items() if isinstance(geometry.neutral_curve, cam))
     every = flatten({**asdict(geometry), "neutral_curve.shape": shape})
     return {_NAMES.get(name, name): list(v) if isinstance(v, tuple) else v for name, v in every}

@@ -13,9 +13,9 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 TEMPERATURE = "sensor_msgs/msg/Temperature"
 
 OWNERS = dict(zip(ROLES, ("input", "output_signal", "torque_signal", "temperature_signal"), strict=True))
-"""Under which parameter each signal stands."""
+"""Parameter section of each signal."""
 
-# Field and unit where none is given.
+# Default field and unit.
 _USUAL = {
     "input": ("position", "rad"),
     "output": ("position", "rad"),
@@ -38,7 +38,7 @@ def spelled_out(given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def signals_from(joint: str, own: Mapping[str, Value]) -> JointSignals:
-    """Signals of a joint from its parameters by their names within it; ConfigError naming what cannot be."""
+    """Signals of a joint from its parameters by their names within it; ConfigError names an invalid one."""
     return JointSignals(*(_signal(joint, role, owner, own) for role, owner in OWNERS.items()))
 
 

@@ -1,7 +1,7 @@
-"""What a joint's parameters are where its file does not give them: from a catalogue page, or by its size.
+"""Parameters of a joint that its file does not give: from a catalogue page, or scaled with the drive.
 
-The defaults of the table are those of the example drive. With a page in the section ``gear`` the drive's own
-come from the page (:mod:`hd_diag.gears`); limits and tolerances go with the drive, wherever that comes from.
+The defaults of the table are those of the example drive. With a page in the section ``gear`` the parameters
+of the drive come from the page (:mod:`hd_diag.gears`). Limits and tolerances always scale with the drive.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ DEFAULTS: Mapping[str, Value] = {p.name: p.default for p in JOINT_PARAMETERS}
 EXAMPLE = drive_from(DEFAULTS)
 _EXAMPLE_SIZE = 25.0
 _UNITS = {p.name.removeprefix("gear."): p.unit for p in JOINT_PARAMETERS if p.name.startswith("gear.")}
-_CHECKED = {"k1", "k2", "k3", "t1", "t2"}  # go with the size
+_CHECKED = {"k1", "k2", "k3", "t1", "t2"}  # scale with the size
 
-# Force on a flank over torque. The more a mesh is loaded, the more pairs share: between drives of sizes 8 to
-# 65 and ratios 50 to 160 the largest force goes with the torque to this power, within 10 %.
+# Force on a flank over torque. With more load, more pairs share it: between drives of sizes 8 to 65 and
+# ratios 50 to 160 the largest force goes with the torque to this power, within 10 %.
 _SHARING = 2.0 / 3.0
 
-# Of the example drive at its rated torque; all in its teeth [rad/(N m)].
+# Torsional compliance of the example drive at its rated torque, all of it in the teeth [rad/(N m)].
 _COMPLIANCE = 1.75e-5
 
-# Amplitude of order 2 [rad] of an eccentricity over the pitch circle's radius, at the torque where it is
-# largest: 0.18 to 0.21 between the same drives; and the part of it that may be the model's own error.
+# Amplitude of order 2 [rad] per eccentricity over the pitch circle's radius, at the torque where it is
+# largest: 0.18 to 0.21 between the same drives. Then the share of it that may be the model's own error.
 _ERROR_OF_ECCENTRICITY = 0.19
 _MODEL_SHARE = 0.25
 
@@ -44,9 +44,9 @@ _MODEL_SHARE = 0.25
 def joint_values(given: Mapping[str, Value], teeth: bool = True) -> tuple[dict[str, Value], dict[str, Value]]:
     """All parameters of a joint from those given, by their names within it; and those that were given.
 
-    If a page is given, values equal to the page's own follow the page and do not count as given: a file that
-    was written from a page may hold all of them. `teeth` as `drive_from` has it. Raises ValueError naming
-    what cannot be.
+    If a page is given, values equal to the page's own follow the page and do not count as given, because a
+    file written from a page may hold all of them. `teeth` as for `drive_from`. Raises ValueError naming what
+    is impossible.
     """
     page = page_of(given)
     _check_shape(given)
@@ -59,10 +59,10 @@ def joint_values(given: Mapping[str, Value], teeth: bool = True) -> tuple[dict[s
         values["sections"] = SECTIONS
     drive = drive_from({**values, **given}, teeth)
     values |= scaled(drive)
-    # What an assembly may add to the preload that the page's torsion curve asks for, and a cup's coning.
+    # Raise limits by the overlap at rest, from the page's curve or a cup's coning: an assembly adds to it.
     if page or (drive.mesh.geometry.cup_length and drive.mesh.geometry.sections > 1):
         values |= {name: rounded(values[name] + rest) for name, rest in _at_rest(drive.mesh).items()}
-    for name in LIMITS:  # where an error alone is given, its warning is not above it
+    for name in LIMITS:  # if only an error limit is given, its warning limit must not be above it
         warn, error = f"limits.{name}.warn", f"limits.{name}.error"
         values[warn] = min(values[warn], {**values, **given}[error])
     kept = {name: value for name, value in given.items() if not page or values[name] != value}
@@ -70,7 +70,7 @@ def joint_values(given: Mapping[str, Value], teeth: bool = True) -> tuple[dict[s
 
 
 def _check_shape(given: Mapping[str, Value]) -> None:
-    """Refuse numbers of other cams where no shape is given: an ellipse would be taken instead."""
+    """Refuse numbers of other cams if no shape is given, because the default ellipse would ignore them."""
     own = [f"neutral_curve.{field.name}" for field in fields(CAMS[DEFAULTS["neutral_curve.shape"]])]
     for name in given if "neutral_curve.shape" not in given else ():
         if name.startswith("neutral_curve.") and name not in own:
@@ -96,7 +96,7 @@ def page_of(given: Mapping[str, Value]) -> Page | None:
             raise ValueError(f"gear.{wanted}: missing; {needed}")
     if not found["t1"] < found["t2"]:
         raise ValueError(f"gear.t1 ({found['t1']:g} N m) must be below gear.t2 ({found['t2']:g} N m)")
-    if 2.0 * abs(found["ratio"]) >= LEAST_TEETH:  # others are refused for their teeth
+    if 2.0 * abs(found["ratio"]) >= LEAST_TEETH:  # others are refused later for their teeth
         _check_units(found, {name for name in found if values[f"gear.{name}"]})
     return Page(**found, output=str(values["output"]))
 
@@ -112,7 +112,7 @@ def _check_units(page: Mapping[str, float], given: Set[str]) -> None:
 
 
 def usual_width(page: Page) -> dict[str, Value]:
-    """Width of the teeth, length of the cup, and sections: pages do not give them."""
+    """Usual width of the teeth, length of the cup, and number of sections, which pages do not give."""
     geometry = similar(EXAMPLE.mesh.geometry, _scale(page), EXAMPLE.mesh.geometry.flexspline_teeth)
     return {name: getattr(geometry, name) for name in ("face_width", "cup_length", "sections")}
 
@@ -123,9 +123,9 @@ def _scale(page: Page) -> float:
 
 @lru_cache(maxsize=256)
 def resolved(page: Page, width: Width = ()) -> dict[str, Value]:
-    """Parameters of the drive of a page; raises ValueError saying why there is none.
+    """Parameters of a page's drive; raises ValueError with the reason if there is none.
 
-    With what is known of its width, see :func:`hd_diag.gears.page_fit.of_page`.
+    `width` holds known values of the width, see :func:`hd_diag.gears.page_fit.of_page`.
     """
     flexspline = page.output == "flexspline"
     slots = 2.0 * abs(page.ratio) + (2.0 if flexspline else 0.0)
@@ -160,7 +160,7 @@ def _at_rest(mesh: Mesh) -> Mapping[str, float]:
 
 
 def _factors(drive: Drive) -> dict[str, float]:
-    """Of a drive over the example drive, by the names of the table's column ``scale``."""
+    """Factors of a drive over the example drive, by the names of the table's column ``scale``."""
 
     def numbers(each: Drive) -> tuple[float, ...]:
         geometry = each.mesh.geometry
@@ -177,7 +177,7 @@ def _factors(drive: Drive) -> dict[str, float]:
         own / example for own, example in zip(numbers(drive), numbers(EXAMPLE), strict=True)
     )
     load = torque * compliance / (teeth * radius * module)
-    of_teeth = compliance / (teeth * radius**2) * load ** (_SHARING - 1.0)  # the more pairs share
+    of_teeth = compliance / (teeth * radius**2) * load ** (_SHARING - 1.0)  # more load: more pairs share
     force = module / compliance * load**_SHARING
     return {
         "module": module,
@@ -191,6 +191,6 @@ def _factors(drive: Drive) -> dict[str, float]:
 
 
 def _model_error(drive: Drive) -> float:
-    """Amplitude [rad] of what the configured eccentricity may be wrong by."""
+    """Amplitude of the model's possible error at the configured eccentricity [rad]."""
     share = abs(drive.mesh.eccentricity) / drive.mesh.geometry.curve.radius
     return _MODEL_SHARE * _ERROR_OF_ECCENTRICITY * share

@@ -18,7 +18,7 @@ from hd_diag.gears.characteristics import slot_shift
 from hd_diag.gears.page import ASSUMED_PROFILE
 from hd_diag.model.geometry import Geometry
 
-_WIDTH = 118  # of a comment
+_WIDTH = 118  # of a comment line
 _COLUMN = 62  # at which the comment of a value begins
 _STEP = "  "
 
@@ -57,7 +57,7 @@ def text(config: Config, joint: JointConfig, assessed: Assessment, command: str)
 
 
 def reached(assessed: Assessment) -> Iterator[str]:
-    """The torsion curve against the page, and its slopes."""
+    """Lines that compare the torsion curve and its slopes with the page."""
     page, found = assessed.page, assessed.found
     assert page is not None
     torque, given, own = assessed.torsion
@@ -74,7 +74,7 @@ def _list(values: Floats) -> str:
 
 
 def assumed(joint: JointConfig) -> str:
-    """What is assumed by similarity, in words."""
+    """Assumptions by similarity, in words."""
     geometry, example = joint.configured.mesh.geometry, EXAMPLE.mesh.geometry
     shift = slot_shift(example, geometry)
     side = "out" if shift >= 0.0 else "in"
@@ -135,7 +135,7 @@ def _lines(tree: Mapping[str, Any], known: Mapping[str, Parameter], prefix: str,
 
 
 def _shown(value: Any) -> str:
-    """As YAML and ROS read it: a number with a point."""
+    """A value as YAML and ROS read it: a float has a decimal point."""
     if isinstance(value, list):
         return f"[{', '.join(map(_shown, value))}]"
     if isinstance(value, float):

@@ -1,4 +1,4 @@
-"""JSON from files that anybody may have changed: read strictly, and checked by one declared structure."""
+"""JSON from untrusted files, read strictly and checked against one declared structure."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ _WHOLE = "the file"
 
 
 def read_text(path: Path, kind: str = "model file") -> str:
-    """Text of a regular file of some kind; a pipe or a device could keep the reader waiting for ever.
+    """Text of a regular file of some kind; a pipe or a device could block the reader for ever.
 
     Raises ConfigError, without the file's name, if it cannot be read, is too long or not UTF-8.
     """
     try:
         with open(path, "rb", opener=_regular) as file:
-            data = file.read(_LARGEST + 1) or b""  # nothing of what would have to be waited for
+            data = file.read(_LARGEST + 1) or b""  # None if the read would block
     except (OSError, ValueError) as error:
         cause = error.strerror if isinstance(error, OSError) else error
         raise ConfigError(f"cannot be read: {cause}") from error
@@ -54,7 +54,7 @@ def read_text(path: Path, kind: str = "model file") -> str:
 def reader(*folders: Path) -> Callable[[str, str], str]:
     """A function that gives the text of a model file by the joint's name and the path, or raises ConfigError.
 
-    Relative paths are looked for in these folders, then in the present one.
+    Relative paths are searched in these folders, then in the current one.
     """
 
     def read(joint: str, path: str) -> str:
@@ -65,18 +65,18 @@ def reader(*folders: Path) -> Callable[[str, str], str]:
 
 
 def _regular(path: str, flags: int) -> int:
-    """Descriptor of a regular file, as the opener of ``open``; ValueError for others, which stay unopened."""
-    kinds = stat.S_IFREG, stat.S_IFDIR  # of a folder ``open`` says that it is one
+    """Opener for ``open``: descriptor of a regular file; ValueError for others, which stay unopened."""
+    kinds = stat.S_IFREG, stat.S_IFDIR  # for a folder ``open`` itself raises the right error
     if stat.S_IFMT(os.stat(path).st_mode) in kinds:
         fd = os.open(path, flags | os.O_NONBLOCK | os.O_NOCTTY)
-        if stat.S_IFMT(os.fstat(fd).st_mode) in kinds:  # still
+        if stat.S_IFMT(os.fstat(fd).st_mode) in kinds:  # unchanged since then
             return fd
         os.close(fd)
     raise ValueError("it is no regular file")
 
 
 def parse(text: str, shape: Shape) -> Any:
-    """Content of a JSON text; raises ConfigError saying in one line where it lacks the declared structure."""
+    """Content of a JSON text; raises ConfigError with one line if it departs from the declared structure."""
     try:
         content = json.loads(text, parse_constant=_refuse, object_pairs_hook=_once)
     except ConfigError:

@@ -46,9 +46,9 @@ REFITTED = (
     "tilt.magnitude",
     "tilt.direction",
 )
-"""Parameters of a drive that a fit changes; in all others a joint must be what the model was fitted to."""
+"""Parameters of a drive that a fit changes; all others must equal those that the model was fitted to."""
 
-_MOST_EFFECTS = 64  # a sample takes 20 us for each
+_MOST_EFFECTS = 64  # each takes 20 us per sample
 _UNITS = {"torque": "N m", "speed": "rad/s", "temperature": "degC"}
 _RANGE = {"low": Number(-1e9, 1e9), "high": Number(-1e9, 1e9), "unit?": object}
 _QUANTITY = {"value": Number(), "std?": (Number(0.0), None), "unit?": object}
@@ -75,12 +75,12 @@ _DRIVE = {
 _LATER = {name for name in _DRIVE if name.startswith(("face_", "cup_length", "sections", "tilt."))} | {
     name for name in _DRIVE if name.startswith("neutral_curve.") and "semi_" not in name
 }
-"""Parameters that files of older versions lack: their drives are plane, on ellipses."""
+"""Parameters that files of older versions lack, because those drives are plane and on ellipses."""
 
 
 @dataclass(frozen=True)
 class ModelFile:
-    """What a file holds: a model, the parameters of its drive after the fit, and as base those before it."""
+    """Content of a file: a model, the parameters of its drive after the fit, and (`base`) before it."""
 
     model: ExtendedModel
     parameters: Mapping[str, Value]
@@ -88,7 +88,7 @@ class ModelFile:
 
 
 def drive_parameters(own: Mapping[str, Value]) -> dict[str, Value]:
-    """Those of a joint's parameters that make its drive."""
+    """Parameters of a joint that describe its drive."""
     return {name: own[name] for name in _DRIVE}
 
 
@@ -98,13 +98,13 @@ def base_hash(base: Mapping[str, Value]) -> str:
 
 
 def model_for(text: str, own: Mapping[str, Value], catalogue: Catalogue | None = None) -> ExtendedModel:
-    """Model from the text of a file, for a joint with certain parameters, ready to run.
+    """Model from the text of a file, for a joint with parameters `own`, ready to run.
 
-    It may hold effects of a catalogue, by default the package's and installed ones. Raises ConfigError saying
-    in one line what is wrong, without the file's name.
+    The model may hold effects of a catalogue, by default the package's and installed ones. Raises ConfigError
+    with one line on what is wrong, without the file's name.
     """
     found = parse(text, catalogue)
-    for name, value in found.base.items():  # parameters that the fit changed may be as before it or after
+    for name, value in found.base.items():  # refitted parameters may have the value before or after the fit
         if own[name] != value and not (name in REFITTED and own[name] == found.parameters[name]):
             raise ConfigError(f"was fitted to a joint with another {name}; this one has {shown(own[name])}")
     _try(found.model)
@@ -154,10 +154,10 @@ def document(
 ) -> dict[str, Any]:
     """Content of a file.
 
-    The joint's parameters are those configured when the model was fitted; spreads are standard deviations of
-    the refitted ones. Effects are, of every term of the model, the standard deviations of its quantities
-    (zero: not estimated), and its class: the names that the record could not tell from it, itself first.
-    Evidence is the support of the model: bags, held-out figures.
+    `configured` are the joint's parameters when the model was fitted; `spreads` are standard deviations of
+    the refitted ones. `effects` gives for every term of the model the standard deviations of its quantities
+    (zero: not estimated) and its class: names that the record could not distinguish from it, itself first.
+    `evidence` is the support of the model: bags, held-out figures.
     """
     base = drive_parameters(configured)
     refitted = base | _refitted(model)
@@ -183,7 +183,7 @@ def document(
 
 
 def write(path: str | Path, content: Mapping[str, Any], catalogue: Catalogue | None = None) -> None:
-    """Write a file, whole or not at all; raises ConfigError, also for content that `parse` does not take."""
+    """Write a file, whole or not at all; raises ConfigError, also for content that `parse` refuses."""
     try:
         text = json.dumps(content, indent=1, allow_nan=False) + "\n"
         parse(text, catalogue)
@@ -230,7 +230,7 @@ def _parameters(given: Mapping[str, Any]) -> dict[str, Value]:
 def _base(
     found: Mapping[str, Any], parameters: Mapping[str, Value], given: Mapping[str, Any]
 ) -> dict[str, Value]:
-    """Parameters before the fit: those of the model with what it changed put back; hashed as given."""
+    """Parameters before the fit: the model's, with changed values restored; the hash is of those given."""
     before = found["before_the_fit"]
     for name in before:
         if name not in REFITTED:
@@ -272,14 +272,14 @@ def _range(name: str, found: Mapping[str, float] | None) -> Range | None:
 
 
 def _try(model: ExtendedModel) -> None:
-    """Compute two samples, so that all that is needed is built now and not at the first message."""
+    """Compute two samples, so that everything needed is built now and not at the first message."""
     still = np.zeros(2)
     torque = np.array([model.ranges.torque.low, model.ranges.torque.high])
     heat = None if model.ranges.temperature is None else np.full(2, model.ranges.temperature.low)
     try:
         with np.errstate(all="ignore"):
             error, _ = model.step(model.start(), np.array([0.0, 1e-3]), still, None, torque, heat)
-    except Exception as found:  # whatever is wrong with the numbers together, it is the file's fault
+    except Exception as found:  # any failure comes from the file's numbers
         raise ContentError(f"the model cannot be computed: {found}") from found
     if not np.isfinite(error).any():
         raise ContentError("the model has no transmission error at the torques of its valid range")

@@ -29,7 +29,7 @@ class _Loader(yaml.SafeLoader):
     }
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        """Refuse aliases, as ROS does: a few of them make a document of any size."""
+        """Refuse aliases, as ROS does: a few of them can expand to a document of any size."""
         if self.check_event(yaml.AliasEvent):
             line = self.line + 1
             raise yaml.YAMLError(f"line {line}: an alias (*name), which ROS does not take")
@@ -52,8 +52,8 @@ _Loader.add_implicit_resolver("tag:yaml.org,2002:float", _REAL, list("-+.0123456
 def read(path: str | Path) -> dict[str, Any]:
     """Flat parameters of a file, without those that every ROS node has.
 
-    YAML: ``hd_diag: ros__parameters: ...``; a node name with namespace, and ``/**``, are taken too. The
-    values are not yet checked. Raises ConfigError saying why it is not a parameter file of this node.
+    YAML: ``hd_diag: ros__parameters: ...``; a node name with namespace, and ``/**``, are accepted too. The
+    values are not yet checked. Raises ConfigError with the reason if it is no parameter file of this node.
     """
     document = _document(path)
     if not isinstance(document, Mapping):
@@ -70,7 +70,7 @@ def read(path: str | Path) -> dict[str, Any]:
 
 
 def sections(path: str | Path) -> list[Any]:
-    """Names of the nodes with a section in a file; raises ConfigError if it is not YAML of ROS."""
+    """Names of the nodes with a section in a file; raises ConfigError if it is not ROS YAML."""
     document = _document(path)
     if document is None:
         return []
@@ -82,7 +82,7 @@ def sections(path: str | Path) -> list[Any]:
 def for_any_node(path: str | Path) -> str:
     """The text of a file with the section of ``hd_diag`` renamed to that of every node, ``/**``.
 
-    The rest stays as it is written. Raises ConfigError if it is not YAML of ROS.
+    All other text stays unchanged. Raises ConfigError if it is not ROS YAML.
     """
     sections(path)
     text = read_text(Path(path), "parameter file")
@@ -94,7 +94,7 @@ def for_any_node(path: str | Path) -> str:
 
 
 def is_for(section: str, node: str) -> bool:
-    """Whether ROS gives a section of a file to a node by its full name: ``*`` is one name, ``**`` any."""
+    """Whether ROS applies a file's section to a node, by its full name; ``*`` is one name, ``**`` any."""
     parts = section.strip("/").split("/")
     pattern = "".join({"**": r"(/\w+)*", "*": r"/\w+"}.get(part, f"/{re.escape(part)}") for part in parts)
     return re.fullmatch(pattern, node) is not None
@@ -112,12 +112,12 @@ def _document(path: str | Path) -> Any:
     text = read_text(Path(path), "parameter file")
     try:
         return yaml.load(text, _Loader)
-    except Exception as error:  # beside YAMLError, PyYAML lets several kinds through on wrong tags and depth
+    except Exception as error:  # PyYAML also raises other errors than YAMLError on wrong tags and depth
         raise ConfigError(f"not YAML: {_reason(error)}") from error
 
 
 def _reason(error: Exception) -> str:
-    """What an error of PyYAML says, in one line without the text that it quotes."""
+    """Message of a PyYAML error in one line, without the text that it quotes."""
     mark = getattr(error, "problem_mark", None)
     if mark is None:
         return " ".join(str(error).split()) or type(error).__name__

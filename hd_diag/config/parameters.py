@@ -23,7 +23,7 @@ class ConfigError(ValueError):
 
 
 class ContentError(ConfigError):
-    """A file's content is wrong. The text quotes some of it; `discreet` is for readers who may not see it."""
+    """A file's content is wrong. The text quotes some of it; `discreet` is a text that quotes nothing."""
 
     def __init__(self, text: str, discreet: str = "") -> None:
         super().__init__(text)
@@ -34,7 +34,7 @@ class ContentError(ConfigError):
 class Parameter:
     """One parameter: name within its owner, default (whose type it has), unit, meaning, range.
 
-    `scale` names what the default goes with from drive to drive (see :mod:`hd_diag.config.defaults`).
+    `scale` names the quantity that the default scales with between drives (:mod:`hd_diag.config.defaults`).
     """
 
     name: str
@@ -85,10 +85,10 @@ LIMITS = tuple(p.name.split(".")[1] for p in JOINT_PARAMETERS if re.fullmatch(r"
 """Quantities with thresholds ``limits.<quantity>.warn`` and ``.error``."""
 
 SIGNALS = ("input", "output_signal.", "torque_signal.", "temperature_signal.")
-"""How parameters begin that say where a joint's signals stand."""
+"""Prefixes of the parameters that locate a joint's signals."""
 
 ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides")
-"""Parameters that every ROS node has: a parameter file may hold them, they are no part of a configuration."""
+"""Parameters that every ROS node has; a parameter file may hold them, but a configuration does not."""
 
 
 def parameters(joints: Sequence[str]) -> dict[str, Parameter]:
@@ -129,7 +129,7 @@ def nested(flat: Mapping[str, Value]) -> dict[str, Any]:
 def check_known(
     names: Iterable[str], known: Iterable[str], what: str = "unknown parameter", hint: str = ""
 ) -> None:
-    """Raise ConfigError naming the first unknown one of some names, and the nearest known if one is near."""
+    """Raise ConfigError naming the first unknown name, and the nearest known one if one is near."""
     for name in names:
         if name not in known:
             near = nearest(str(name), known)
@@ -156,9 +156,9 @@ def joint_names(value: Any) -> list[str]:
 
 
 def checked(name: str, value: Any, parameter: Parameter) -> Value:
-    """The value in the parameter's own type; a whole number for a real one is fine.
+    """The value in the parameter's own type; a real parameter accepts a whole number.
 
-    Raises ConfigError with the full name, saying what was expected, in which unit.
+    Raises ConfigError with the full name, the expected value and its unit.
     """
     default, choices = parameter.default, parameter.choices
     if isinstance(default, list):
@@ -175,7 +175,7 @@ def shown(value: Any) -> str:
     """A value as an error message shows it: one line, cut if long."""
     try:
         text = ascii(value)
-    except (ValueError, RecursionError):  # a number of thousands of digits; lists in lists in lists
+    except (ValueError, RecursionError):  # a number of thousands of digits; lists nested too deep
         text = f"a {type(value).__name__} too long to print"
     return text if len(text) <= _LONGEST_TEXT else f"{text[: _LONGEST_TEXT - 3]}..."
 
@@ -185,7 +185,7 @@ def _unit(parameter: Parameter) -> str:
 
 
 def _numbers(name: str, value: Any, parameter: Parameter) -> list[float]:
-    """A pair where its default is one, else any number of them."""
+    """A list of numbers: a pair if the default is one, otherwise of any length except zero."""
     is_pair, is_list = len(parameter.default) == 2, isinstance(value, (list, tuple))
     if not is_list or (is_pair and len(value) != 2) or not value:
         wanted = f"two numbers [x, y]{_unit(parameter)}" if is_pair else "a list of numbers"

@@ -1,9 +1,9 @@
-"""Gears with known catalogue pages, by name, and possible values for a gear of some size.
+"""Gears with known catalogue pages, by name, and plausible values for a gear of a size.
 
 The table beside this module holds component sets HFUC and CSG (cup), HFUS and SHG (hollow shaft) of Harmonic
 Drive SE, sizes 11 to 90: facts of the maker's catalogue as tabulated in AimanHaidar/harmonic-drive-selector,
-commit e1df012, data/reducers_tables.py (Apache-2.0). Rated torques are those at 2000 rpm, K1 to K3 mean
-values for ratios 30, 50, 80 and above. T1 of size 14 is 2.0 N m here; 0.2 for CSG there is a slip.
+commit e1df012, data/reducers_tables.py (Apache-2.0). Rated torques are those at 2000 rpm; K1 to K3 are mean
+values for ratios 30, 50, 80 and above. T1 of size 14 is 2.0 N m here; the source has 0.2 for CSG by mistake.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from typing import Any, NamedTuple
 from hd_diag.gears.page import TENTH_OF_AN_INCH, Page
 
 _NAME = re.compile(r"([a-z]+)[ _/-]*(\d+)[ _/-]+(\d+)(?:[ _/-].*)?", re.IGNORECASE)  # units: CSG-25-100-2UH
-_COLUMNS = ("ratio", "rated_torque", "k1", "k2", "k3", "t1", "t2")  # of the table beside series and size
-_NEAREST = 3  # names that an error tells
+_COLUMNS = ("ratio", "rated_torque", "k1", "k2", "k3", "t1", "t2")  # of the table, after series and size
+_NEAREST = 3  # names that an error lists
 
-_FAR = 3.0  # from the table's, either way, no gear of a size is [-]
+_FAR = 3.0  # no gear differs from the table's value for its size by this factor [-]
 _ARCMIN = math.pi / 10800.0  # [rad]
 _KGF = 9.80665  # [N]
 _UNITS = {
@@ -36,11 +36,11 @@ _UNITS = {
     },
     "N m": {"kgf m": _KGF, "N mm": 1e-3},
 }
-"""What else pages give a value in, by its unit inside."""
+"""Other units on catalogue pages and their factors, by the unit used here."""
 
 
 class Gear(NamedTuple):
-    """A gear of the table: its series, its size [0.1 inch], and its page, of a fixed circular spline."""
+    """A gear of the table: series, size [0.1 inch], and page, whose ratio is for a fixed circular spline."""
 
     series: str
     size: float
@@ -48,7 +48,7 @@ class Gear(NamedTuple):
 
     @property
     def given(self) -> dict[str, float]:
-        """What the table says, as the section ``gear`` of a parameter file has it."""
+        """Values of the table, as in the section ``gear`` of a parameter file."""
         return {"size": self.size, **{name: getattr(self.page, name) for name in _COLUMNS}}
 
 
@@ -66,9 +66,9 @@ def _gear(series: str, size: str, **numbers: str) -> Gear:
 
 
 def named(name: str) -> tuple[str, Gear]:
-    """A gear with its name as the table has it; raises ValueError naming the nearest.
+    """A gear and its name in the table; raises ValueError with the nearest names for an unknown one.
 
-    Upper or lower case; what follows the ratio says how the gear is housed and is left out.
+    Case does not matter. Text after the ratio describes the housing and is ignored.
     """
     parts = _NAME.fullmatch(name.strip())
     plain = "-".join(parts.groups()).upper() if parts else name
@@ -95,10 +95,10 @@ def _nearest(plain: str, parts: re.Match[str] | None) -> list[str]:
 
 
 def usual(name: str, size: float, ratio: float) -> float:
-    """What gears of a size and about this ratio have of a column of the table, in its unit.
+    """Usual value in a column of the table for gears of a size and about this ratio, in the column's unit.
 
-    Stiffness and torque go with the cube of the size: K between sizes 11 and 90 within a factor of 1.5, T1
-    and T2 of all but the smallest too.
+    Stiffness and torque go with the cube of the size: K between sizes 11 and 90 within a factor of 1.5, and
+    so do T1 and T2 except for the smallest size.
     """
     ratios = {gear.page.ratio for gear in table().values()}
     nearest = min(ratios, key=lambda each: abs(math.log(each / abs(ratio))))
@@ -108,7 +108,7 @@ def usual(name: str, size: float, ratio: float) -> float:
 
 
 def check(name: str, value: float, unit: str, size: float, ratio: float) -> None:
-    """Raise ValueError where no gear of a size has such a K1, K2, K3, T1 or T2, with the unit meant."""
+    """Raise ValueError if no gear of a size has such a K1, K2, K3, T1 or T2; it suggests the unit meant."""
     expected = usual(name, size, ratio)
 
     def far(factor: float) -> float:

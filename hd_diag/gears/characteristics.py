@@ -1,4 +1,4 @@
-"""What a drive is, in the numbers of its catalogue page and of its assembly: what a user can compare."""
+"""Characteristics of a drive that a user can compare: those of its catalogue page and of its assembly."""
 
 from __future__ import annotations
 
@@ -18,31 +18,31 @@ from hd_diag.model.load_sharing import FlankTorsion, flank_stiffness
 from hd_diag.model.mesh import Mesh, largest_displacement
 
 SMALLEST_SHARE = 1.0 / 14.0
-"""Least torque over T1 at which K1 is measured [-]: below it the gap is taken up."""
+"""Least torque over T1 at which K1 is measured [-]; below it the gap closes."""
 
 ECCENTRICITIES = (5e-6, 10e-6, 20e-6)
-"""At which the error of an eccentricity is shown [m]: it is far from linear."""
+"""Eccentricities at which the error is shown [m], because it is far from linear."""
 
-_OF_ONE = 10e-6  # at which the error per eccentricity is taken [m]
+_OF_ONE = 10e-6  # eccentricity at which the error per eccentricity is taken [m]
 
 PHASES = 16
-"""Wave generator angles in a slot pitch, where each is like the others."""
+"""Wave generator angles in a slot pitch, if all slot pitches are alike."""
 
 _MOMENTS = 128  # of a turn
-_FINE_ECCENTRICITY = 0.02e-6  # resolution of the eccentricity of an overlap [m]
-# Over half a turn, which is a period of the error, and over a slot pitch at each: orders of teeth cancel.
+_FINE_ECCENTRICITY = 0.02e-6  # resolution of the eccentricity that gives an overlap [m]
+# Angles over half a turn (the error's period), and phases of a slot pitch at each: orders of teeth cancel.
 _ERROR_MOMENTS, _ERROR_PHASES = 8, 3
 
 
 class ToothLoads(NamedTuple):
-    """What teeth bear over a turn of the wave generator, and by what the lobes press against each other.
+    """Forces on teeth and overlap of the lobes, each the largest over a turn of the wave generator.
 
     Attributes
     ----------
     overlap : float
-        Without torque [m]; negative: clearance.
+        Overlap of the lobes without torque [m]; negative for clearance.
     idle, rated : float
-        Largest force on a flank without torque, and at the rated torque [N]; nan: cannot be borne.
+        Largest force on a flank without torque, and at the rated torque [N]; nan if it cannot be borne.
     """
 
     overlap: float
@@ -52,30 +52,30 @@ class ToothLoads(NamedTuple):
 
 @dataclass(frozen=True)
 class Characteristics:
-    """A drive as it is configured, over a turn of the wave generator.
+    """Characteristics of a drive as configured, over a turn of the wave generator.
 
     Attributes
     ----------
     module : float
-        Of the flexspline's neutral layer, 2 R_b / Z_R [m].
+        Module of the flexspline's neutral layer, 2 R_b / Z_R [m].
     t1, t2 : float
-        Torques of the steps of the stiffness [N m].
+        Torques at which the stiffness steps [N m].
     stiffness : ndarray, shape (3,)
-        K1, K2, K3, secants T1/14 to T1, T1 to T2, T2 to 2 T2 of the mean torsion [N m/rad]; nan where the
-        teeth cannot bear the torque.
+        K1, K2, K3 [N m/rad]: secants of the mean torsion from T1/14 to T1, T1 to T2, T2 to 2 T2; nan where
+        the teeth cannot bear the torque.
     lost_motion : float
         Greatest gap without torque [rad].
     least_backlash : float
-        Of all teeth without torque, cup in the middle as built [m]; negative: interference at a lobe.
+        Least backlash of all teeth without torque, at zero torsion [m]; negative: interference at a lobe.
     loads : ToothLoads
     error_per_eccentricity : float
         Amplitude of order 2 of the wave generator at half the rated torque, over an eccentricity of 10 µm
         [rad/m].
     errors : tuple of (float, float)
-        That amplitude [rad] at some eccentricities [m].
+        Eccentricities [m], each with that amplitude [rad].
     limit : (float, float)
-        The eccentricity at which the lobes overlap as much as an assembly may have [m], and its amplitude
-        [rad]; nan: they do so without, or not below the eccentricity that is too much.
+        The eccentricity at which the overlap of the lobes is the most that an assembly may have [m], and its
+        amplitude [rad]; nan if they overlap so far without eccentricity, or at none in the search range.
     """
 
     module: float
@@ -91,13 +91,13 @@ class Characteristics:
 
 
 class MeshOverTurn:
-    """The teeth of a mesh at some wave generator angles [rad], as far as a whole turn is judged by them.
+    """The teeth of a mesh at wave generator angles [rad] that stand for a whole turn.
 
-    Its `torsion` gives rotations of the cup (moments, torques) [rad] at torques (torques,) [N m].
+    `torsion` gives rotations of the cup (moments, torques) [rad] at torques (torques,) [N m].
     """
 
     def __init__(self, mesh: Mesh, angle: Floats) -> None:
-        # Whether both lobes are the same, and one stands for both.
+        # If both lobes are the same, one stands for both.
         is_same = mesh.is_centred and mesh.geometry.flexspline_teeth % 2 == 0
         self._lobes, self._sections = 2 - is_same, mesh.geometry.sections
         self._compliance, self._contact = mesh.tooth_compliance, contacts(mesh, angle, lobes=self._lobes)
@@ -105,7 +105,7 @@ class MeshOverTurn:
         self.torsion = FlankTorsion(self._contact.rotation, (1.0 + is_same) * self._stiffness)
 
     def peak_load(self, torque: float) -> float:
-        """Largest force on a flank [N]; nan: the torque cannot be borne."""
+        """Largest force on a flank [N]; nan if the teeth cannot bear the torque."""
         beta = self.torsion(np.array([torque]))[:, :, None]
         overlap = np.fmax(FLANKS * beta - self._contact.rotation, 0.0)
         weight = self._contact.weight
@@ -118,7 +118,7 @@ class MeshOverTurn:
         return max(float(self.torsion.gap.max()), 0.0)
 
     def least_backlash(self) -> float:
-        """Of all teeth without torque [m]."""
+        """Least backlash of all teeth without torque [m]."""
         return float(np.nanmin(self._contact.rotation * self._contact.radius))
 
     def overlap(self) -> float:
@@ -129,7 +129,7 @@ class MeshOverTurn:
 
 @lru_cache(maxsize=512)
 def tooth_loads(drive: Drive) -> ToothLoads:
-    """What the teeth of a drive bear."""
+    """Tooth loads of a drive; cached."""
     return _loads(MeshOverTurn(drive.mesh, _turn(drive.mesh)), drive.rated_torque)
 
 
@@ -138,9 +138,9 @@ def _loads(teeth: MeshOverTurn, rated_torque: float) -> ToothLoads:
 
 
 def characteristics(drive: Drive, t1: float = 0.0, t2: float = 0.0, overlap: float = 0.0) -> Characteristics:
-    """Characteristics of a drive; T1 and T2 [N m] are shares of the rated torque where they are zero.
+    """Characteristics of a drive; a T1 or T2 of zero [N m] becomes a share of the rated torque.
 
-    The overlap is what an assembly may have [m].
+    The overlap is the most that an assembly may have [m].
     """
     t1, t2 = t1 or T1_SHARE * drive.rated_torque, t2 or T2_SHARE * drive.rated_torque
     return _characteristics(drive.mesh, drive.rated_torque, drive.cup_compliance, t1, t2, overlap)
@@ -169,7 +169,7 @@ def _characteristics(
 
 
 def mean_torsion(drive: Drive, torque: Floats) -> Floats:
-    """Torsion (n,) [rad] at torques (n,) [N m] over a turn, cup included."""
+    """Mean torsion over a turn (n,) [rad] at torques (n,) [N m], including the cup's."""
     teeth = MeshOverTurn(drive.mesh, _turn(drive.mesh))
     return np.asarray(teeth.torsion(torque).mean(axis=0) + drive.cup_compliance * torque)
 
@@ -180,7 +180,7 @@ def stiffness_steps(t1: float, t2: float) -> Floats:
 
 
 def slot_shift(known: Geometry, geometry: Geometry) -> float:
-    """By how much a similar geometry's slots lie further out than the module alone has them [m]."""
+    """Outward shift of a similar geometry's slots from where the module alone places them [m]."""
     deep = (known.semi_major - known.circular_spline_datum) * geometry.module / known.module
     return geometry.circular_spline_datum - (geometry.semi_major - deep)
 
@@ -191,9 +191,9 @@ def slot_phases(geometry: Geometry, count: int = PHASES) -> Floats:
 
 
 def _turn(mesh: Mesh) -> Floats:
-    """Angles that show all of a turn [rad]: a centred mesh is the same again after a slot pitch.
+    """Angles that stand for a whole turn [rad]: a centred mesh repeats after a slot pitch.
 
-    Of others by golden section, which meets every phase of the teeth evenly.
+    For others a golden-section sequence, which meets every phase of the teeth evenly.
     """
     if mesh.is_centred:
         return slot_phases(mesh.geometry)
@@ -214,16 +214,16 @@ def _order_2(mesh: Mesh, eccentricity: float, torque: float) -> float:
 
 
 def _eccentricity_of_overlap(mesh: Mesh, overlap: float) -> float:
-    """The eccentricity that gives this overlap at the worst wave generator angle [m].
+    """The eccentricity that gives this overlap at the worst wave generator angle [m], by bisection.
 
-    That is where it stands across the long axis; by bisection.
+    At the worst angle it stands across the long axis. nan if no eccentricity in the search range gives it.
     """
 
     def found(eccentricity: float) -> float:
         across = replace(mesh, eccentricity=0.0, runout=1j * eccentricity, tilt=0.0)
         return MeshOverTurn(across, slot_phases(mesh.geometry)).overlap()
 
-    low, high = 0.0, 0.2 * mesh.geometry.module  # as far as tolerances look
+    low, high = 0.0, 0.2 * mesh.geometry.module  # the search range of tolerances
     high = min(high, 0.99 * largest_displacement(mesh.geometry)[0])
     if not found(low) < overlap < found(high):
         return math.nan

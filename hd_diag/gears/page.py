@@ -1,4 +1,4 @@
-"""A catalogue page: what it says of a drive."""
+"""A drive's catalogue page."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from hd_diag.arrays import Floats
 
 TENTH_OF_AN_INCH = 2.54e-3
-"""A gear's size is its pitch diameter in these [m]."""
+"""Unit of a gear's size, which is its pitch diameter [m]."""
 
 T1_SHARE, T2_SHARE = 0.25, 0.86
 """Torques T1 and T2 over the rated torque where no page gives them [-]."""
@@ -18,7 +18,7 @@ ASSUMED_PROFILE = (
     "backlash of single teeth, the eccentricity of the first interference and forces on teeth are those of "
     "the assumed profile"
 )
-"""What to tell wherever these are shown of a drive from a page."""
+"""Note to show with these values of a drive from a page."""
 
 
 class Page(NamedTuple):
@@ -50,7 +50,7 @@ class Page(NamedTuple):
         return np.array([0.1 * t1, 0.25 * t1, 0.5 * t1, t1, 0.5 * (t1 + t2), t2, 1.5 * t2, 2.0 * t2])
 
     def torsion(self, torque: Floats) -> Floats:
-        """Torsion that the page promises at torques > 0 [rad]: from the gap's end on K1, K2, K3."""
+        """Torsion by the page at torques > 0 [rad]: half the lost motion, then K1, K2, K3."""
         first = np.minimum(torque, self.t1) / self.k1
         second = np.clip(torque - self.t1, 0.0, self.t2 - self.t1) / self.k2
         third = np.maximum(torque - self.t2, 0.0) / self.k3

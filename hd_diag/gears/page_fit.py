@@ -1,7 +1,8 @@
-"""The place of the slots and the compliances that give a similar mesh the torsion curve of its page.
+"""Fit of the slots' place and of the compliances, so that a similar mesh has its page's torsion curve.
 
-A page promises torsion from zero torque on: no backlash, then K1, K2, K3. Slopes alone do not tell where the
-slots lie: with the known drive's clearance others would have 8 to 27 arcsec of lost motion that no page has.
+A page gives the torsion from zero torque on: no backlash, then K1, K2, K3. Slopes alone do not determine the
+place of the slots: with the known drive's clearance, other drives would have 8 to 27 arcsec of lost motion,
+which no page has.
 """
 
 from __future__ import annotations
@@ -19,29 +20,29 @@ from hd_diag.gears.page import Page
 from hd_diag.gears.similarity import module_scale, moved, similar
 from hd_diag.model.mesh import Mesh
 
-_PROBED = 4e-6  # shift of the slots that shows the overlap's change, for the known drive's module [m]
-_AROUND = (-40e-6, 10e-6)  # in which a page's place is looked for, from where teeth come free [m]
-_PLACES = 14  # tried first: where sections come to bear one after the other there are several good ones
-_FARTHEST = 120e-6  # from the place that the module gives; beyond, teeth are others [m]
+_PROBED = 4e-6  # shift of the slots to measure the overlap's slope, for the known drive's module [m]
+_AROUND = (-40e-6, 10e-6)  # search range of the slots' place, from where teeth come free [m]
+_PLACES = 14  # places tried first: sections that come to bear one by one make several good places
+_FARTHEST = 120e-6  # greatest shift from the place by the module; beyond it the profile is another [m]
 _FINE = 0.02e-6  # resolution of a place; 0.1 % of the torsion at T1/10 [m]
-_FEW = 4  # phases of the teeth at which these are
+_FEW = 4  # phases of the teeth at which the first places are tried
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
-_POWER = 8  # of relative errors in a miss: the largest alone nearly counts; even
+_POWER = 8  # even power of relative errors in a miss: nearly only the largest error counts
 
-_DIGITS_KEPT = 4  # significant, of a compliance
-_SOFTER = 10.0  # logarithm of how much softer or stiffer teeth may be than where the search begins [-]
-_SOFTEST_CUP = 0.95  # of 1 / K1: as soft as all of it would leave nothing to the teeth [-]
-_TRIALS, _CLOSE = 65, 1e-6  # compliances beside each other; of their logarithm, and of the cup's share [-]
+_DIGITS_KEPT = 4  # significant digits of a compliance
+_SOFTER = 10.0  # most change of the teeth's compliance from the start of the search, as a logarithm [-]
+_SOFTEST_CUP = 0.95  # most compliance of the cup over 1 / K1: the teeth need the rest [-]
+_TRIALS, _CLOSE = 65, 1e-6  # compliances per round; resolution of their logarithm and of the cup's share [-]
 
 
 Width = tuple[tuple[str, Any], ...]
 
 
 class PageFit(NamedTuple):
-    """A mesh with its cup's compliance [rad/(N m)], and how far its torsion misses the page's.
+    """Misfit of the torsion to the page's, mesh, and compliance of the cup [rad/(N m)].
 
-    The miss is the sum of high powers of the relative errors, that of a lost motion among them: the largest
-    count.
+    `miss` is the sum of high powers of the relative errors, including that of the lost motion, so that the
+    largest errors count.
     """
 
     miss: float
@@ -55,19 +56,19 @@ def of_page(known: Mesh, scale: float, teeth: int, page: Page, width: Width = ()
     Parameters
     ----------
     known : Mesh
-        Without eccentricity; its tooth compliance is where the search begins.
+        Mesh without eccentricity; the search begins at its tooth compliance.
     scale : float
         Pitch diameter over the known one's [-].
     teeth : int
-        Of the flexspline.
+        Number of teeth of the flexspline.
     page : Page
     width : tuple of (str, number)
-        What is known of face width and cup length [m], or of the number of sections, by name.
+        Known face width [m], cup length [m] or number of sections, by name.
 
     Raises
     ------
     ValueError
-        Saying why there is none.
+        If there is none; the message says why.
     """
     start = replace(known, geometry=replace(similar(known.geometry, scale, teeth), **dict(width)))
     k = module_scale(known.geometry, scale, teeth)
@@ -83,7 +84,7 @@ def of_page(known: Mesh, scale: float, teeth: int, page: Page, width: Width = ()
 
 
 def _free(start: Mesh, step: float) -> tuple[float, float]:
-    """Shift of the slots that gives neither overlap nor clearance [m]; overlap by shift [-]."""
+    """Shift of the slots that gives neither overlap nor clearance [m]; slope of overlap over shift [-]."""
 
     def overlap(shift: float) -> float:
         mesh = replace(start, geometry=moved(start.geometry, shift))
@@ -94,7 +95,7 @@ def _free(start: Mesh, step: float) -> tuple[float, float]:
 
 
 def _nearest(start: Mesh, page: Page, low: float, high: float, fine: float) -> PageFit:
-    """The fit with the slots at the best place of a range [m]: of some, then by golden section about it."""
+    """The fit with the slots at the best place of a range [m]: best of a grid, then golden section."""
 
     def fitted(shift: float, phases: int = PHASES) -> PageFit:
         try:
@@ -121,9 +122,9 @@ def _nearest(start: Mesh, page: Page, low: float, high: float, fine: float) -> P
 
 
 def _with_compliances(mesh: Mesh, page: Page, phases: int) -> PageFit:
-    """The fit with the best compliance of a tooth pair, found by trials side by side, and of the cup.
+    """The fit with the best compliances of a tooth pair, found by grids that narrow, and of the cup.
 
-    Teeth that are softer by a factor turn as far at a torque as these do at that factor times it.
+    Teeth that are softer by a factor have the torsion that these have at that factor times the torque.
     """
     teeth, torque = MeshOverTurn(mesh, slot_phases(mesh.geometry, phases)), page.torques
     wanted = page.torsion(torque)
@@ -144,10 +145,10 @@ def _with_compliances(mesh: Mesh, page: Page, phases: int) -> PageFit:
 
 
 def _cup_shares(reached: Floats, share: Floats) -> Floats:
-    """The cup's best compliance times K1 beside each of some teeth (trials,), by bisection.
+    """The cup's best compliance times K1 for each trial compliance of the teeth (trials,), by bisection.
 
-    `reached` (trials, 8) are the teeth's torsions and `share` (8,) that of a cup as soft as K1, over those
-    wanted.
+    `reached` (trials, 8) is the teeth's torsion over the wanted one. `share` (8,) is the torsion of a cup of
+    stiffness K1 over the wanted one.
     """
     low, high = np.zeros(len(reached)), np.full(len(reached), _SOFTEST_CUP)
     while np.max(high - low) > _CLOSE:

@@ -1,10 +1,10 @@
 """A geometry similar to a known one.
 
-A catalogue tells size, ratio and stiffness, never teeth. Teeth go with the module, and so does the radial
-deformation of the flexspline; the neutral curve's perimeter goes with the pitch circle. Where the circular
-spline's slots lie beyond that, the page's torsion curve tells (:mod:`hd_diag.gears.page_fit`). What follows
-from the profile rather than from the stiffness stays assumed: backlash of single teeth, the eccentricity of
-the first interference, forces on teeth.
+A catalogue gives size, ratio and stiffness, never the teeth. Teeth and the radial deformation of the
+flexspline scale with the module; the neutral curve's perimeter scales with the pitch circle. The page's
+torsion curve gives the further shift of the circular spline's slots (:mod:`hd_diag.gears.page_fit`). Results
+that follow from the profile and not from the stiffness remain assumptions: backlash of single teeth, the
+eccentricity of the first interference, forces on teeth.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from hd_diag.model.geometry import Geometry
 from hd_diag.model.tooth_profile import DoubleArc
 
 LEAST_TEETH = 60
-"""Of a flexspline: below a ratio of 30 no gear with the teeth of ratio 100 has been seen."""
+"""Least number of flexspline teeth: below ratio 30 no gear is known with the teeth of ratio 100."""
 
 FACE_WIDTH, CUP_LENGTH = 0.37, 1.3
 """Width of the teeth, and their middle's distance from the cup's bottom, over the pitch radius [-]."""
 
 SECTIONS = 5
-"""Along the width: the torsion is then that of any more, to 1 %."""
+"""Sections along the width; more sections change the torsion by at most 1 %."""
 
-_DIGITS = 10  # decimals of a length: a tenth of a nanometre, so that every machine has the same numbers [m]
-_STEPS = 12  # of a solution; each leaves a fiftieth of the error, or less
+_DIGITS = 10  # decimals of a length: a tenth of a nanometre, so that all machines get the same numbers [m]
+_STEPS = 12  # iterations of a solution; each reduces the error to a fiftieth or less
 
 
 def module_scale(known: Geometry, scale: float, teeth: int) -> float:
@@ -35,9 +35,9 @@ def module_scale(known: Geometry, scale: float, teeth: int) -> float:
 
 
 def similar(known: Geometry, scale: float, teeth: int) -> Geometry:
-    """Geometry with a pitch circle `scale` times that of a known one, and so many teeth, in sections.
+    """Geometry with `teeth` teeth and a pitch circle `scale` times that of a known one, in sections.
 
-    Slots lie where the module has them; width and length are those of usual cups.
+    The module gives the place of the slots; width and length are those of usual cups.
 
     Parameters
     ----------
@@ -45,12 +45,12 @@ def similar(known: Geometry, scale: float, teeth: int) -> Geometry:
     scale : float
         Pitch diameter over the known one's [-].
     teeth : int
-        Of the flexspline, even; the circular spline has as many more as the known one's.
+        Teeth of the flexspline, even; the circular spline has as many more as in the known geometry.
 
     Raises
     ------
     ValueError
-        Saying why no drive with these teeth runs.
+        If no drive with these teeth runs; the message says why.
     """
     if teeth < LEAST_TEETH:
         raise ValueError(
@@ -79,7 +79,7 @@ def similar(known: Geometry, scale: float, teeth: int) -> Geometry:
 
 
 def moved(geometry: Geometry, shift: float) -> Geometry:
-    """Geometry with the slots further out [m]."""
+    """Geometry with the slots moved outward by `shift` [m]."""
     places = (geometry.circular_spline_datum, geometry.circular_spline_tip_radius)
     datum, tip = (round(place + shift, _DIGITS) for place in places)
     return replace(geometry, circular_spline_datum=datum, circular_spline_tip_radius=tip)

@@ -35,5 +35,5 @@ Nomenclature
 
 Source: H. Dong, T. Chen, D. Wang, B. Dong, Kinematic Model of Harmonic Drive in Robot Joints with Input
 Eccentricity Error, ROMANSY 22, CISM 584, pp. 134-140, 2019, doi 10.1007/978-3-319-78963-7_18. The paper's
-tables leave some numbers open; how each was read is said where the number stands.
+tables leave some numbers open; the place where such a number is defined says how it was read.
 """

@@ -1,7 +1,7 @@
 """Cams of wave generators: each gives the neutral curve's radius and the harmonics of its support function.
 
-Where a cam is told by the radial displacement w(phi) of a ring, the ring does not stretch: it moves by v
-along itself, ``v' = -w``. From its points follow the normals and with them the support function.
+Some cams are given by the radial displacement w(phi) of a ring. The ring does not stretch, so its points
+also move tangentially by v, with ``v' = -w``. The displaced points give the normals and the support function.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.model.neutral_curve import MOST_HARMONICS, NeutralCurve, neutral_curve
 
-_SAMPLES = 1024  # of half a turn
+_SAMPLES = 1024  # over half a turn
 _PHI = np.pi * np.arange(_SAMPLES) / _SAMPLES
 _LEAST = 1e-17  # [m]; smaller harmonics are rounding error
-_MOST_FLAT = 0.8  # short over long axis of an ellipse, at least [-]
-_CONTACT = (1e-6, 1.56)  # least and greatest end of a disc's contact [rad]
+_MOST_FLAT = 0.8  # least ratio of short to long axis of an ellipse [-]
+_CONTACT = (1e-6, 1.56)  # bounds of the angle where a disc's contact ends [rad]
 _HALVINGS = 60
-_FORCES = 200  # harmonics of the four forces' displacement, which fall like n^-4
-_FITTED = 10  # harmonics of a measured cam
-_PER_HARMONIC = 4  # points, at least
+_FORCES = 200  # harmonics of the four forces' displacement; they fall like n^-4
+_FITTED = 10  # most harmonics fitted to a measured cam
+_PER_HARMONIC = 4  # least number of points per harmonic
 _FIT_STEPS = 30
-_CLOSE = 1e-15  # of a step of the fit [m]
+_CLOSE = 1e-15  # step at which the fit has converged [m]
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Ellipse:
     semi_minor: float
 
     def support(self) -> tuple[float, Floats]:
-        """R_b and c_1, c_2, ... [m]; ValueError if the axes are not in this order, or far apart."""
+        """R_b and c_1, c_2, ... [m]; ValueError unless 0.8 semi_major < semi_minor <= semi_major."""
         if not self.semi_major >= self.semi_minor > _MOST_FLAT * self.semi_major:
             raise ValueError(
                 f"neutral curve: semi_major ({self.semi_major:.6g} m) must be at least semi_minor "
@@ -47,7 +47,7 @@ class Ellipse:
 
 @dataclass(frozen=True)
 class Cosine:
-    """A ring of a radius is displaced by ``w = w0 cos 2 phi``; w0 is the deformation [m]."""
+    """A ring of given radius, displaced radially by ``w = w0 cos 2 phi``; w0 is the deformation [m]."""
 
     radius: float
     deformation: float
@@ -59,7 +59,7 @@ class Cosine:
 
 @dataclass(frozen=True)
 class FourForces:
-    """Four radial forces bend a ring, at an angle from the long axis both ways [rad].
+    """Four radial forces bend a ring; they act at plus and minus `angle` from the long axis [rad].
 
     The deformation is w on the long axis [m].
 
@@ -85,14 +85,14 @@ class FourForces:
 
 @dataclass(frozen=True)
 class TwoDiscs:
-    """A ring on two discs with centres an offset from the middle; it is free between them [m].
+    """A ring on two discs, whose centres lie `disc_offset` from the middle; it is free between them [m].
 
-    The disc radius is that of the neutral layer where it lies on a disc.
+    `disc_radius` is the radius of the neutral layer where it lies on a disc.
 
     Notes
     -----
-    p + p'' is the radius of curvature: that of the disc where it bears, ``C + D cos(pi / 2 - mu)`` of a free
-    ring bent by one force; displacement, slope and curvature go on where the disc ends, and mean p is R_b.
+    The radius of curvature is p + p''. On a disc it is the disc's; the free ring is bent by one force and has
+    ``C + D cos(pi / 2 - mu)``. p, p' and p'' are continuous where the contact ends. The mean of p is R_b.
     """
 
     radius: float
@@ -117,13 +117,13 @@ class TwoDiscs:
             trial = 0.5 * (end + last)
             end, last = (trial, last) if self._excess(trial)[0] * side > 0.0 else (end, trial)
         c, d, f = self._excess(end)[1]
-        lean = np.abs(0.5 * np.pi - _PHI)  # from the short axis
+        lean = np.abs(0.5 * np.pi - _PHI)  # angle from the short axis
         free = c + 0.5 * d * lean * np.sin(lean) + f * np.cos(lean)
         on_disc = self.disc_radius + self.disc_offset * np.sin(lean)
         return self.radius, _harmonics(np.where(lean > 0.5 * np.pi - end, on_disc, free))[1]
 
     def _excess(self, end: float) -> tuple[float, Floats]:
-        """Mean p beyond the radius where discs bear up to an angle, and C, D, F of the free part [m]."""
+        """Mean p less the radius if discs bear up to angle `end`, and C, D, F of the free part [m]."""
         lean = 0.5 * np.pi - end
         sine, cosine = math.sin(lean), math.cos(lean)
         rows = np.array(
@@ -142,22 +142,22 @@ class TwoDiscs:
 
 @dataclass(frozen=True)
 class Points:
-    """Points of the cam or of a layer parallel to it: angle from the long axis [rad], radius [m], by turns.
+    """Points of the cam or a parallel layer: alternately angle from the long axis [rad] and radius [m].
 
-    The neutral layer is an offset further out [m].
+    The neutral layer lies `offset` further out [m].
     """
 
     points: tuple[float, ...]
     offset: float = 0.0
 
     def support(self) -> tuple[float, Floats]:
-        """R_b and c_1, c_2, ... [m] that fit best."""
+        """R_b and c_1, c_2, ... [m] of the best fit."""
         radius, harmonics, _ = self._fitted()
         return radius + self.offset, harmonics
 
     @property
     def residual(self) -> tuple[float, float]:
-        """What the points are off the fitted curve, rms and largest [m]."""
+        """Distance of the points from the fitted curve: rms and largest [m]."""
         away = self._fitted()[2]
         return float(np.sqrt(np.mean(away**2))), float(np.abs(away).max())
 
@@ -166,8 +166,8 @@ class Points:
 
         Notes
         -----
-        A point's distance from a convex curve is ``P . n(mu) - p(mu)`` where that is stationary; a harmonic
-        changes it by ``-cos 2k mu``. Points of a centre that is off the curve's are moved there.
+        A point's distance from a convex curve is ``P . n(mu) - p(mu)`` at the mu where it is stationary. Its
+        derivative by c_k is ``-cos 2k mu``. The fit also moves the points' centre to that of the curve.
         """
         angle, distance = self._checked()
         orders = 2.0 * np.arange(min(_FITTED, angle.size // _PER_HARMONIC) + 1)
@@ -207,7 +207,7 @@ class Points:
 
 
 Cam = Ellipse | Cosine | FourForces | TwoDiscs | Points
-"""All shapes that there are."""
+"""All cam shapes."""
 
 CAMS: dict[str, type[Cam]] = {
     "ellipse": Ellipse,
@@ -216,12 +216,12 @@ CAMS: dict[str, type[Cam]] = {
     "two_discs": TwoDiscs,
     "points": Points,
 }
-"""By the names that people write."""
+"""Cams by their names in parameter files."""
 
 
 @functools.lru_cache(maxsize=64)
 def curve_on(cam: Cam) -> NeutralCurve:
-    """Neutral curve on a cam; raises ValueError saying in one line why there is none."""
+    """Neutral curve on a cam; raises ValueError with a one-line reason if there is none."""
     radius, harmonics = cam.support()
     if not (np.isfinite(radius) and radius > 0.0 and np.isfinite(harmonics).all()):
         raise ValueError(f"neutral curve: radius ({radius:g} m) must be positive, and every length finite")
@@ -229,7 +229,7 @@ def curve_on(cam: Cam) -> NeutralCurve:
 
 
 def _of_ring(radius: float, deformation: float, shape: Floats) -> tuple[float, Floats]:
-    """R_b and harmonics of a ring displaced by ``sum shape cos n phi``, n even, so far on the long axis."""
+    """R_b and harmonics of a ring displaced by ``sum shape cos n phi``, n even, with w(0) = deformation."""
     if not (radius > 0.0 and 0.0 <= deformation < radius):
         raise ValueError(
             f"neutral curve: deformation ({deformation:g} m) must be from 0 to less than radius "
@@ -238,8 +238,8 @@ def _of_ring(radius: float, deformation: float, shape: Floats) -> tuple[float, F
     n, size = 2.0 * np.arange(1, shape.size + 1), deformation / shape.sum() * shape
     angles = np.multiply.outer(_PHI, n)
     cosines, sines = np.cos(angles), np.sin(angles)
-    point = radius + cosines @ size - 1j * (sines @ (size / n))  # seen from phi: w + R along it, v across
-    # Its derivative, seen from phi too: along the curve; the normal is a quarter turn behind.
+    point = radius + cosines @ size - 1j * (sines @ (size / n))  # frame of phi: w + R radial, v tangential
+    # Derivative in the same frame: the tangent; the normal is a quarter turn behind it.
     along = 1j * point - sines @ (n * size) - 1j * (cosines @ size)
     normal = -1j * along / np.abs(along)
     mu, p = _PHI + np.angle(normal), (point * np.conj(normal)).real
@@ -249,13 +249,13 @@ def _of_ring(radius: float, deformation: float, shape: Floats) -> tuple[float, F
 
 
 def _slope(values: Floats) -> Floats:
-    """Derivative by phi of what repeats after half a turn."""
+    """Derivative by phi of values sampled over half a turn, which is their period."""
     spectrum = np.fft.rfft(values)
     return np.asarray(np.fft.irfft(2j * np.arange(spectrum.size) * spectrum, values.size))
 
 
 def _harmonics(p: Floats) -> tuple[float, Floats]:
-    """R_b and c_1, c_2, ... of a support function at the directions `_PHI` [m]."""
+    """R_b and c_1, c_2, ... of a support function sampled at the directions `_PHI` [m]."""
     spectrum = np.fft.rfft(p).real / _SAMPLES
     return float(spectrum[0]), _kept(2.0 * spectrum[1 : MOST_HARMONICS + 1])
 

@@ -20,23 +20,23 @@ from hd_diag.model.neutral_curve import tooth_axes
 FLANKS = np.array([1.0, -1.0])[:, None]
 """Sign of the torsion that loads the flanks +, -; for arrays (..., 2, teeth)."""
 
-_BLOCK = 32  # moments at a time: their numbers stay near the core
+_BLOCK = 32  # moments per block: their arrays fit in the core's cache
 
 
 @dataclass(frozen=True)
 class Contact:
-    """Where and when the flanks of tooth pairs meet. Arrays of shape (moments, 2, columns), flanks (+, -).
+    """Contacts of the flanks of tooth pairs: arrays of shape (moments, 2, columns), flanks (+, -).
 
-    Columns are teeth: those of a lobe in one section of the width after the other, then those of the other.
+    Columns are teeth: section by section of the width for the first lobe, then the same for the second.
 
     Attributes
     ----------
     teeth : ndarray of int, shape (moments, columns)
-        Which tooth of the flexspline each column is.
+        Tooth of the flexspline in each column.
     slots : ndarray of int, shape (moments, columns)
-        The slot that it meets.
+        Slot that the tooth meets.
     weight : ndarray, shape (moments, 1, columns)
-        Share of its section in the width [-].
+        Share of the tooth's section in the width [-].
     rotation : ndarray
         b, rotation of the cup that closes the gap, in the flank's own direction [rad]; nan: cannot touch.
     radius : ndarray
@@ -44,7 +44,7 @@ class Contact:
     pressure_angle : ndarray
         alpha [rad].
     opening, softening : ndarray
-        Change of b and of the stiffness' logarithm where the slot moves outward [rad/m], [1/m].
+        Derivatives of b [rad/m] and of the stiffness' logarithm [1/m] by an outward shift of the slot.
     """
 
     teeth: Integers
@@ -60,9 +60,9 @@ class Contact:
 def contacts(mesh: Mesh, wave_generator_angle: Floats, compiled: bool = False, lobes: int = 2) -> Contact:
     """Contacts of the tooth pairs near both lobes, at wave generator angles theta_W (moments,) [rad].
 
-    Columns are the teeth that can reach the slots at any angle; all others cannot touch. Compiled code is
-    many times as fast, once it is there. One of the `lobes` alone is enough in a centred mesh with an even
-    number of teeth: the other is the same.
+    Columns are the teeth that can reach the slots at any angle; all others cannot touch. Code that is already
+    `compiled` runs many times faster. In a centred mesh with an even number of teeth both lobes are the same,
+    so `lobes` = 1 is enough.
     """
     turn = np.asarray(wave_generator_angle, dtype=np.float64)
     solve: Any = partial(_compiled if compiled else first_contact, mesh.data.constants)
@@ -74,12 +74,12 @@ def contacts(mesh: Mesh, wave_generator_angle: Floats, compiled: bool = False, l
 def _contacts(
     mesh: Mesh, turn: Floats, solve: Callable[[Floats, Floats], Any], lobes: int
 ) -> tuple[Any, ...]:
-    """Values of a `Contact`. Poses are those of :mod:`hd_diag.model.kernel.poses`, without its shortcuts."""
+    """Fields of a `Contact`. Poses are those of :mod:`hd_diag.model.kernel.poses`, without its shortcuts."""
     c, geometry, turned = mesh.data.constants, mesh.geometry, turn[:, None]
     near = reach(mesh.data, abs(mesh.eccentricity) + abs(mesh.runout))
     columns, start = width(c, near), mesh.arc_offset / c.curve_radius - turned * c.turn_ratio
     first = np.ceil((np.pi * np.arange(lobes) - near - start) / c.tooth_pitch)
-    number = first[:, :, None] + np.arange(columns)  # of the teeth, by lobes
+    number = first[:, :, None] + np.arange(columns)  # tooth numbers by lobe
     arc, found = start[:, :, None] + number * c.tooth_pitch, []
     for place, curve in zip(geometry.section_places, geometry.section_curves, strict=True):
         axis, height, offset = tooth_axes(curve, arc)
@@ -108,7 +108,7 @@ def _contacts(
 
 
 def _compiled(c: Constants, height: Floats, offset: Floats) -> Touch:
-    """As :func:`first_contact`."""
+    """Compiled :func:`first_contact` of arrays."""
     rows = np.broadcast_arrays(height, offset)
     found = kernel.entry.touches(c, *(np.ascontiguousarray(row).ravel() for row in rows))
     return Touch(*found.reshape(-1, *rows[0].shape))

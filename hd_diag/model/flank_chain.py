@@ -14,11 +14,11 @@ from hd_diag.arrays import Complexes
 from hd_diag.model.tooth_profile import DoubleArc
 
 TOLERANCE = 1e-7
-"""Distance within which a chain follows points [m]: a tenth of a micrometre, as flanks are measured."""
+"""Distance within which a chain follows points [m]: 0.1 µm, the accuracy of flank measurements."""
 
 _STRAIGHT = 1e-6  # [rad]; a piece that turns less is a line
 _SMOOTH = 1e-3  # [rad]; allowed change of direction where two pieces meet
-_FEWEST = 4  # points, that a flank needs
+_FEWEST = 4  # least number of points of a flank
 
 
 class Piece(NamedTuple):
@@ -27,11 +27,11 @@ class Piece(NamedTuple):
     Attributes
     ----------
     radius : float
-        [m]; positive where the tooth bulges, negative where it is hollow, 0 of a line.
+        [m]; positive where the tooth bulges, negative where it is hollow, 0 for a line.
     x, y : float
-        Centre [m]; of a line its unit normal out of the tooth.
+        Centre of an arc [m]; for a line, the unit normal out of the tooth.
     start, end : complex
-        Its ends, x + iy [m].
+        Ends of the piece, x + iy [m].
     """
 
     radius: float
@@ -41,7 +41,7 @@ class Piece(NamedTuple):
     end: complex
 
     def normal(self, point: complex) -> complex:
-        """Unit normal out of the tooth at one of its points."""
+        """Unit normal out of the tooth at a point of the piece."""
         if not self.radius:
             return complex(self.x, self.y)
         return (point - complex(self.x, self.y)) / self.radius
@@ -60,7 +60,7 @@ class FlankChain:
     Raises
     ------
     ValueError
-        If the numbers make no chain, if it turns back, or has a corner.
+        If the numbers make no chain, or the chain turns back or has a corner.
     """
 
     numbers: tuple[float, ...]
@@ -83,23 +83,23 @@ class FlankChain:
 
     @cached_property
     def pieces(self) -> tuple[Piece, ...]:
-        """Its arcs and lines from root to tip."""
+        """Arcs and lines from root to tip."""
         ends = [complex(x, y) for x, y in zip(self.numbers[::3], self.numbers[1::3], strict=True)]
         radii = self.numbers[2::3]
         return tuple(_piece(r, *between) for r, between in zip(radii, pairwise(ends), strict=True))
 
     @property
     def start(self) -> float:
-        """Height where it begins [m]."""
+        """Height where the chain begins [m]."""
         return self.numbers[0]
 
     @property
     def end(self) -> float:
-        """Height where it ends [m]."""
+        """Height where the chain ends [m]."""
         return self.numbers[-2]
 
     def covers(self, low: float, high: float) -> bool:
-        """Whether it reaches from one height to another [m], except for the tolerance of its points."""
+        """Whether the chain reaches from height `low` to `high` [m], within :data:`TOLERANCE`."""
         return self.start - TOLERANCE <= low <= high <= self.end + TOLERANCE
 
     def half_width(self, x: float) -> float:
@@ -114,7 +114,7 @@ class FlankChain:
 
 
 def _piece(radius: float, start: complex, end: complex) -> Piece:
-    """Arc or line between two points; the centre of an arc is on the tooth's side where it bulges."""
+    """Arc or line between two points; an arc that bulges has its centre on the tooth's side."""
     chord = end - start
     normal = 1j * chord / abs(chord)
     if not radius:
@@ -130,7 +130,7 @@ def _piece(radius: float, start: complex, end: complex) -> Piece:
 
 
 def chained(flank: DoubleArc | FlankChain, start: float, end: float) -> FlankChain:
-    """A flank as a chain; a double arc from one height to another [m]."""
+    """A flank as a chain; a double arc is cut to the heights `start` and `end` [m]."""
     if isinstance(flank, FlankChain):
         return flank
     inner, outer = flank.dedendum_joint, flank.addendum_joint
@@ -145,19 +145,20 @@ def chain_of_points(points: tuple[float, ...], tolerance: float = TOLERANCE) -> 
     Parameters
     ----------
     points : tuple of float
-        x and y of one point after the other, from root to tip [m].
+        x, y of each point in turn, from root to tip [m].
     tolerance : float
         Greatest distance of a point from the chain [m].
 
     Raises
     ------
     ValueError
-        If there are too few points, their heights do not rise, or no chain of fewer pieces than points does.
+        If there are too few points, their heights do not rise, or the chain turns back or has a corner.
 
     Notes
     -----
-    Directions are those of a smoothing spline that stays within half the tolerance; each biarc reaches as far
-    as the points in between allow. Biarcs: Bolton, Computer-Aided Design 7(2), 1975.
+    A smoothing spline, whose rms distance from the points is at most a quarter of the tolerance, gives the
+    directions. Each biarc spans as many points of the spline as it follows within half the tolerance.
+    Biarcs: Bolton, Computer-Aided Design 7(2), 1975.
     """
     if len(points) < 2 * _FEWEST or len(points) % 2:
         raise ValueError(
@@ -177,8 +178,8 @@ def chain_of_points(points: tuple[float, ...], tolerance: float = TOLERANCE) -> 
 
 
 def _smoothed(place: Complexes, tolerance: float) -> tuple[Complexes, Complexes]:
-    """Points on a smooth curve near those given, and its unit directions there."""
-    from scipy.interpolate import splev, splprep  # late: it takes a third of a second
+    """Points of a smoothing spline at the given points, and the spline's unit directions there."""
+    from scipy.interpolate import splev, splprep  # imported here: it takes a third of a second
 
     scale = float(np.abs(place[-1] - place[0]))
     wanted = place.size * (0.25 * tolerance / scale) ** 2
@@ -190,7 +191,7 @@ def _smoothed(place: Complexes, tolerance: float) -> tuple[Complexes, Complexes]
 
 
 def _farthest(place: Complexes, way: Complexes, first: int, tolerance: float) -> int:
-    """Last point that one biarc from `first` reaches with all in between near it."""
+    """Index of the last point up to which one biarc from `first` follows all points."""
     good, step = first + 1, 1
     while good + step < place.size or step > 1:
         trial = min(good + step, place.size - 1)
@@ -224,7 +225,7 @@ def _follows(place: Complexes, way: Complexes, first: int, last: int, tolerance:
 
 
 def _biarc(start: complex, way: complex, end: complex, last_way: complex) -> list[Piece]:
-    """Two arcs with a common tangent through two points with directions; their legs are equally long."""
+    """Two arcs that join smoothly, between points with given directions; the tangent legs are equal."""
     chord, both = end - start, way + last_way
     turned = 2.0 * (1.0 - (way * last_way.conjugate()).real)
     along, square = (chord * both.conjugate()).real, abs(chord) ** 2

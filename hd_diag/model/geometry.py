@@ -24,11 +24,11 @@ class Geometry:
     flexspline_teeth, circular_spline_teeth : int
         Z_R and Z_G.
     neutral_curve : Cam
-        What gives the flexspline's neutral layer its shape, in the middle section.
+        Cam that shapes the flexspline's neutral layer in the middle section.
     flexspline_tooth : DoubleArc or FlankChain
         Flank in the tooth frame; x from the neutral layer [m].
     flexspline_root, flexspline_tip : float
-        Where the flank begins and ends: x above the neutral layer [m].
+        Heights x above the neutral layer where the flank begins and ends [m].
     circular_spline_slot : DoubleArc or FlankChain
         Wall of the slot; x from the datum radius [m].
     circular_spline_datum : float
@@ -36,17 +36,17 @@ class Geometry:
     circular_spline_tip_radius : float
         Radius at which the slot's wall begins [m].
     face_width : float
-        b, width of the teeth [m]; 0: the middle section stands for it.
+        b, width of the teeth [m]; with 0 the middle section stands for the whole width.
     cup_length : float
-        L, from the cup's bottom, which stays round, to the middle section [m]; 0: every section is deformed
-        alike, as a ring is.
+        L, distance from the cup's bottom, which stays round, to the middle section [m]. With 0 all sections
+        are deformed alike, as in a ring.
     sections : int
         Number of sections along the width, at Gauss-Legendre points.
 
     Raises
     ------
     ValueError
-        Naming the first thing that cannot be.
+        If a value is impossible; the message names the first one.
     """
 
     flexspline_teeth: int
@@ -94,12 +94,12 @@ class Geometry:
 
     @property
     def semi_major(self) -> float:
-        """Where the neutral curve of the middle section meets its long axis, from its centre [m]."""
+        """Distance from the centre to the middle section's neutral curve along the long axis [m]."""
         return self.curve.semi_major
 
     @property
     def semi_minor(self) -> float:
-        """Where it meets its short axis, from its centre [m]."""
+        """Distance from the centre to the middle section's neutral curve along the short axis [m]."""
         return self.curve.semi_minor
 
     @property

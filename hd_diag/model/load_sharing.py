@@ -1,8 +1,8 @@
 """Load distribution: one torsion for all teeth, solved exactly by :mod:`hd_diag.model.kernel.load_sharing`.
 
 A flank of stiffness k that closes after a rotation b bears ``k (beta - b)`` where the torsion beta exceeds b.
-The shares of the loaded flanks in the stiffness are the torsion's derivatives by each flank's own b: what
-pitch errors, wear and damage of single teeth do, to first order.
+The derivative of the torsion by a loaded flank's b is that flank's share of the loaded stiffness. It gives
+the first-order effect of pitch errors, wear and damage of single teeth.
 """
 
 from __future__ import annotations
@@ -20,34 +20,34 @@ from hd_diag.model.geometry import Geometry
 from hd_diag.model.mesh import Mesh, contiguous, moments
 from hd_diag.model.threads import MOMENTS, spread
 
-_PHASES, _BEYOND = 16, 1.02  # of a slot pitch, at which the overlap is looked at; what lies between them
-_NONE = 1e-9  # of the stiffness of all flanks: what rounding leaves where none bears [-]
+_PHASES, _BEYOND = 16, 1.02  # phases of a slot pitch that sample the overlap; margin for maxima in between
+_NONE = 1e-9  # share of all flanks' stiffness that is rounding error: no flank bears [-]
 
 
 @dataclass(frozen=True)
 class MeshState:
-    """All tooth pairs at some moments. Flanks (+, -): counter-clockwise, clockwise.
+    """All tooth pairs at a number of moments. Flanks (+, -): counter-clockwise, clockwise.
 
     Attributes
     ----------
     backlash : ndarray, shape (moments, 2, Z_R)
-        Circumferential, at zero torsion [m]; negative: interference; nan: cannot touch.
+        Circumferential, at zero torsion [m]; negative for interference, nan if the pair cannot touch.
     load : ndarray, shape (moments, 2, Z_R)
         Normal forces [N].
     pressure_angle : ndarray, shape (moments, 2, Z_R)
         [rad]; nan where the pair cannot touch.
     section_backlash, section_load : ndarray, shape (moments, sections, 2, Z_R)
-        The same in each section of the width; of these the backlash above is the least, with its pressure
-        angle, and the load the sum.
+        The same in each section of the width. `backlash` is the least over the sections, `pressure_angle` is
+        that of the section with the least, and `load` is the sum.
     torsion : ndarray, shape (moments,)
         Rotation of the cup [rad].
     lost_motion : ndarray, shape (moments,)
         Gap at zero torque [rad].
     overlap : ndarray, shape (moments,)
-        How far the lobes press against each other at zero torque: circumferential, at the contacts [m];
-        negative: the clearance that is left.
+        Circumferential distance by which the lobes press against each other at zero torque, at the contacts
+        [m]; negative for clearance.
     built : float
-        The same as built, see :func:`built_overlap`.
+        Overlap as built [m], see :func:`built_overlap`.
     """
 
     backlash: Floats
@@ -83,9 +83,9 @@ class MeshState:
 
     @property
     def interference(self) -> npt.NDArray[np.bool_]:
-        """Whether no rotation of the cup frees all teeth: the lobes press against each other; (moments,).
+        """Whether the lobes press against each other more than as built, shape (moments,).
 
-        In a coned cup more than they do as built.
+        No rotation of the cup then frees all teeth. Only a coned cup has an overlap as built.
         """
         return np.asarray(self.overlap > self.built)
 
@@ -93,8 +93,8 @@ class MeshState:
 def mesh_state(mesh: Mesh, wave_generator_angle: Floats, torque: Floats) -> MeshState:
     """Backlash and load of every tooth, contacts and load distribution solved together.
 
-    At wave generator angles theta_W (moments,) [rad] and torques M on the cup (moments,) [N m]. The torsion
-    is that of :func:`hd_diag.model.torsion.torsion`, to the last bit.
+    Arguments are wave generator angles theta_W (moments,) [rad] and torques M on the cup (moments,) [N m].
+    The torsion equals that of :func:`hd_diag.model.torsion.torsion` to the last bit.
     """
     rows = moments(mesh, wave_generator_angle, torque)
     count, geometry = rows[0].size, mesh.geometry
@@ -113,7 +113,7 @@ def mesh_state(mesh: Mesh, wave_generator_angle: Floats, torque: Floats) -> Mesh
 
 
 def built_overlap(geometry: Geometry) -> float:
-    """By how much coning alone presses the lobes of a cup against each other [m]; of all others zero."""
+    """Overlap of the lobes that a cup's coning alone causes [m]; zero without coning."""
     return _of_coning(geometry) if geometry.cup_length and geometry.sections > 1 else 0.0
 
 
@@ -129,7 +129,7 @@ def _of_coning(geometry: Geometry) -> float:
 def flank_stiffness(contact: Contact, tooth_compliance: float) -> Floats:
     """Torsional stiffness ``k = (r cos alpha)^2 / (K1 + K2)`` of each flank (moments, 2, columns) [N m/rad].
 
-    Times its section's share of the width; zero where the flanks cannot touch.
+    It includes the section's share of the width and is zero where the flanks cannot touch.
     """
     arm = contact.radius * np.cos(contact.pressure_angle)
     return np.where(np.isfinite(contact.rotation), contact.weight * (arm * arm / tooth_compliance), 0.0)
@@ -138,19 +138,19 @@ def flank_stiffness(contact: Contact, tooth_compliance: float) -> Floats:
 def torsion_of_flanks(rotation: Floats, stiffness: Floats, torque: Floats) -> Floats:
     """Torsion (moments, torques) [rad] of flanks that begin to bear at given rotations.
 
-    Rotations b [rad], not finite where a flank cannot touch, and stiffness k [N m/rad] are (moments, 2,
-    teeth); torques M (torques,) rise [N m]. In a true gap it is the middle; nan if no flank can bear the
-    torque.
+    Rotations b [rad] and stiffness k [N m/rad] have the shape (moments, 2, teeth); b is not finite where a
+    flank cannot touch. Torques M (torques,) must rise [N m]. In a true gap the torsion is the gap's middle.
+    It is nan if no flank can bear the torque.
     """
     found: Floats = kernel.entry.torsion_of_flanks(*map(contiguous, (rotation, stiffness, torque)))
     return found
 
 
 class FlankTorsion:
-    """As :func:`torsion_of_flanks`, for torques in any order, without compiled code: what starts need.
+    """As :func:`torsion_of_flanks` for torques in any order, without compiled code, so that starts are fast.
 
-    Flanks are sorted by the torsion at which they begin to bear (+) or cease to (-): between two of them
-    ``M = K beta - Q`` holds with sums K and Q over those that bear.
+    Flanks are sorted by the torsion at which they begin (+) or cease (-) to bear. Between two such torsions
+    ``M = K beta - Q`` holds, with sums K and Q over the bearing flanks.
     """
 
     def __init__(self, rotation: Floats, stiffness: Floats) -> None:
@@ -168,7 +168,7 @@ class FlankTorsion:
         self._stiffness, self._moment = summed(gain), summed(np.nan_to_num(gain * start))
         self._begin = self._stiffness[:, 1:] * start - self._moment[:, 1:]
         self._stiffness[self._stiffness <= _NONE * np.abs(gain).sum(axis=1, keepdims=True)] = np.nan
-        ends = np.fmin.reduce(rotation, axis=2, initial=np.inf)  # of the free range
+        ends = np.fmin.reduce(rotation, axis=2, initial=np.inf)  # ends of the free range
         self.gap = ends[:, 0] + ends[:, 1]
         self._middle = np.where(np.isfinite(self.gap), 0.5 * (ends[:, 0] - ends[:, 1]), np.nan)
 

@@ -25,17 +25,17 @@ class Mesh:
     eccentricity : complex
         E, displacement of the wave generator's centre fixed in the housing, x + iy [m].
     runout : complex
-        The part that turns with the wave generator, at theta_W = 0 [m].
+        Part of the displacement that turns with the wave generator, at theta_W = 0 [m].
     arc_offset : float
         s_0, shift of the teeth along the neutral curve [m].
     tilt : complex
-        gamma e^(i chi), by which the wave generator's axis leans in the direction chi of the housing [rad]:
-        its centre is at E + gamma z e^(i chi) in the section z.
+        gamma e^(i chi), tilt of the wave generator's axis by gamma in the direction chi of the housing [rad]:
+        in the section z its centre is at E + gamma z e^(i chi).
 
     Raises
     ------
     ValueError
-        Naming the value that cannot be; for eccentricity and runout together, the largest sum that can.
+        If a value is impossible; for eccentricity and runout the message gives the largest possible sum.
     """
 
     geometry: Geometry
@@ -55,13 +55,13 @@ class Mesh:
         _check_displacement(self)
 
     def displacement(self, wave_generator_angle: Floats) -> Complexes:
-        """Where its centre is in the middle section at theta_W [rad]: x + iy in the housing [m]."""
+        """Wave generator's centre in the middle section at theta_W [rad], x + iy in the housing [m]."""
         turning: Complexes = np.exp(1j * wave_generator_angle)
         return self.eccentricity + self.runout * turning
 
     @property
     def lean(self) -> float:
-        """By how much the tilt displaces the outermost section [m]."""
+        """Displacement of the outermost section by the tilt [m]."""
         return float(abs(self.tilt) * np.abs(self.geometry.section_places).max())
 
     @property
@@ -71,13 +71,13 @@ class Mesh:
 
     @cached_property
     def data(self) -> MeshData:
-        """Its numbers as the kernels take them."""
+        """Numbers of the mesh in the form that the kernels take."""
         own = float(self.tooth_compliance), float(self.arc_offset)
         return MeshData(*numbers(self.geometry), *own, complex(self.tilt))
 
 
 def contiguous(values: float | Floats) -> Floats:
-    """Contiguous and free to be written to: numba would compile kernels again for anything else."""
+    """Contiguous and writeable array; numba would compile kernels again for any other."""
     found = np.ascontiguousarray(values, dtype=np.float64)
     return found if found.flags.writeable else found.copy()
 
@@ -91,7 +91,7 @@ def moments(
 
 
 def largest_displacement(geometry: Geometry) -> tuple[float, str]:
-    """Displacement of the wave generator that is too much [m], and which part then strikes."""
+    """Least displacement of the wave generator at which a part strikes [m], and the name of that part."""
     tip_radius = geometry.circular_spline_tip_radius
     slot_end = geometry.circular_spline_datum + geometry.slot_end
     long = max(curve.semi_major for curve in geometry.section_curves)

@@ -1,9 +1,9 @@
-"""Neutral layer of the flexspline, a convex curve with two lobes, inextensible: known by its arc length.
+"""Neutral layer of the flexspline: an inextensible convex curve with two lobes, given by its arc length.
 
-A convex curve is its support function p(mu), the distance of the tangent whose normal has the direction mu.
-With two equal lobes ``p(mu) = R_b + sum c_k cos 2k mu``. The foot of a tooth is at ``h = p(mu)`` along its
-axis, which is the normal, and at ``q = p'(mu)`` across it; the arc from the long axis is ``s(mu) = R_b mu +
-sum c_k (1 - 4k^2) / (2k) sin 2k mu``. Whatever the c_k, the perimeter is 2 pi R_b.
+The support function p(mu) defines a convex curve: it is the distance of the tangent with normal direction mu.
+With two equal lobes ``p(mu) = R_b + sum c_k cos 2k mu``. The axis of a tooth is the normal. The foot of the
+tooth is at ``h = p(mu)`` along this axis and at ``q = p'(mu)`` across it. The arc from the long axis is
+``s(mu) = R_b mu + sum c_k (1 - 4k^2) / (2k) sin 2k mu``. The perimeter is 2 pi R_b for any c_k.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ import numpy as np
 from hd_diag.arrays import Floats
 
 MOST_HARMONICS = 32
-"""Of a curve. Where a cam's forces end, c_k falls like k^-4: those beyond turn no tooth by 1e-6 rad."""
+"""Most harmonics of a curve. At ends of the cam's forces c_k ~ k^-4, and the rest turns no tooth 1e-6 rad."""
 
-_SAMPLES = 256  # of half a turn
+_SAMPLES = 256  # over half a turn
 _U = np.pi * np.arange(_SAMPLES) / _SAMPLES
-_STEPS = 40  # of Newton's iteration; of a gear it needs four
-_ROUNDING = 2e-15  # [rad], or of the radius; smaller harmonics are rounding error of the transform
-_MOST_TURNED = 0.2  # tooth axis from where a circle has it [rad]; kernels have their sine by a short series
+_STEPS = 40  # most Newton iterations; a gear needs four
+_ROUNDING = 2e-15  # [rad] or share of the radius; smaller harmonics are rounding error of the transform
+_MOST_TURNED = 0.2  # rotation of a tooth axis from a circle's [rad]: limit of the kernels' sine series
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,8 @@ class NeutralCurve:
     harmonics : tuple of float
         c_1, c_2, ... of the support function [m].
     series : ndarray, shape (3, k)
-        Of the arc u = s / R_b: ``mu - u`` = sum of the first times sin 2ku [rad], q of the second times sin
-        2ku, h of the third times cos 2ku [m], k from 0; read-only, for curves are kept and shared.
+        Fourier series in the arc u = s / R_b, k from 0. Rows: ``mu - u`` in sin 2ku [rad], q in sin 2ku [m],
+        h in cos 2ku [m]. Read-only, because curves are cached and shared.
 
     Notes
     -----
@@ -51,16 +51,16 @@ class NeutralCurve:
 
     @property
     def semi_major(self) -> float:
-        """Where the curve meets its long axis, from its centre [m]."""
+        """Distance from the centre to the curve along the long axis [m]."""
         return self.radius + math.fsum(self.harmonics)
 
     @property
     def semi_minor(self) -> float:
-        """Where the curve meets its short axis, from its centre [m]."""
+        """Distance from the centre to the curve along the short axis [m]."""
         return self.radius + math.fsum((-1) ** k * c for k, c in enumerate(self.harmonics, 1))
 
     def deformed(self, factor: float) -> NeutralCurve:
-        """The same layer deformed so many times as far, to first order."""
+        """The same layer with its deformation multiplied by `factor`, to first order."""
         return neutral_curve(self.radius, tuple(factor * c for c in self.harmonics))
 
 
@@ -68,7 +68,8 @@ class NeutralCurve:
 def neutral_curve(radius: float, harmonics: tuple[float, ...]) -> NeutralCurve:
     """Neutral curve of a radius R_b [m] and the harmonics c_1, c_2, ... of its support function [m].
 
-    Raises ValueError if it is not convex, not longest along its long axis, or far from a circle.
+    Raises ValueError if the curve is not convex, is shorter along its long axis than across it, or is far
+    from a circle.
     """
     c: Floats = np.array(harmonics) / radius
     order: Floats = 2.0 * np.arange(1, len(harmonics) + 1, dtype=np.float64)
@@ -92,9 +93,9 @@ def neutral_curve(radius: float, harmonics: tuple[float, ...]) -> NeutralCurve:
 
 
 def _series(radius: float, c: Floats, order: Floats, arcs: Floats) -> Floats:
-    """As of `NeutralCurve`, from harmonics and arcs over R_b."""
+    """Series of a `NeutralCurve`; harmonics `c` and `arcs` are over R_b [-]."""
     mu = _U.copy()
-    for _ in range(_STEPS):  # the slope is never zero, for the curve is convex
+    for _ in range(_STEPS):  # the curve is convex, so the slope is never zero
         angles = np.multiply.outer(mu, order)
         step = (mu - _U + np.sin(angles) @ arcs) / (1.0 + np.cos(angles) @ (arcs * order))
         mu -= step
@@ -114,7 +115,7 @@ def _series(radius: float, c: Floats, order: Floats, arcs: Floats) -> Floats:
 
 
 def tooth_axes(curve: NeutralCurve, u: Floats) -> tuple[Floats, Floats, Floats]:
-    """Direction of the tooth axes (the curve's normals) and the curve's centre seen from the teeth.
+    """Direction of the tooth axes (the curve's normals), and the foot points of the teeth.
 
     Parameters
     ----------
@@ -125,7 +126,7 @@ def tooth_axes(curve: NeutralCurve, u: Floats) -> tuple[Floats, Floats, Floats]:
     Returns
     -------
     angle : ndarray
-        Direction of the tooth axis from the long axis [rad], same turn as u.
+        Direction of the tooth axis from the long axis [rad], in the same turn as u.
     height, offset : ndarray
         Components of the foot point along the axis and counter-clockwise across it [m].
     """

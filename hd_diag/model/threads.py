@@ -1,4 +1,4 @@
-"""Large batches spread over cores: the compiled kernels work side by side, each on some of the rows."""
+"""Large batches spread over cores: threads run compiled kernels in parallel, each on some of the rows."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 MOMENTS = 16
-"""Moments of a mesh that a thread takes at a time: 0.3 ms of work, where a thread costs 0.1 ms."""
+"""Moments of a mesh that a thread takes at a time: 0.3 ms of work; a thread costs 0.1 ms."""
 
 
 def cores() -> int:
-    """Cores that this process may use; one in a process of a pool, which has a process for each."""
+    """Number of cores that this process may use; 1 in a pool's process, as the pool has one per core."""
     if multiprocessing.parent_process() is not None:
         return 1
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def spread(work: Callable[[int, int], object], size: int, share: int) -> None:
-    """Have all rows worked on, by several threads where each gets two shares or more.
+    """Work on all rows, in several threads if each gets at least two shares.
 
-    `work` is called with the first row and the one after the last, and fills these rows of its results; a
-    thread takes `share` rows at a time. The threads end with the call, so that a process that is forked later
-    finds none of them.
+    `work` is called with the first row and the one after the last, and fills these rows of its results. A
+    thread takes `share` rows at a time. The threads end with the call, so that a process forked later
+    inherits none of them.
     """
     if size < 4 * share or (threads := min(cores(), size // (2 * share))) < 2:
         work(0, size)
@@ -31,7 +31,7 @@ def spread(work: Callable[[int, int], object], size: int, share: int) -> None:
     shares = iter([(first, min(first + share, size)) for first in range(0, size, share)])
 
     def some() -> None:
-        for first, last in shares:  # a free thread takes the next one: cores may be busy with other things
+        for first, last in shares:  # a free thread takes the next share: cores may be busy with other work
             work(first, last)
 
     with ThreadPoolExecutor(threads - 1, thread_name_prefix="rows") as pool:

@@ -1,4 +1,4 @@
-"""Double-circular-arc flank: convex or concave arc, exact common tangent, second arc."""
+"""Double-circular-arc flank: a hollow and a bulging arc, joined by their exact common tangent."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ class DoubleArc:
 
         Notes
         -----
-        The line ``n . p = c`` touches both arcs if ``n . (C_f - C_a) = rho_a + rho_f``; of the two solutions
-        the one that meets the inner arc first (smaller x) is the flank.
+        The line ``n . p = c`` touches both arcs if ``n . (C_f - C_a) = rho_a + rho_f``. There are two
+        solutions; the flank is the one that meets the inner arc first (at smaller x).
         """
         dx = self.dedendum_center[0] - self.addendum_center[0]
         dy = self.dedendum_center[1] - self.addendum_center[1]

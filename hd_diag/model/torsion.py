@@ -15,27 +15,27 @@ from hd_diag.model.mesh import Mesh, contiguous, moments
 from hd_diag.model.threads import MOMENTS, spread
 
 BEYOND = 1.0
-"""Torque beyond those asked for that is solved: both sides of zero, also without torque [N m]."""
+"""Margin of the solved torques beyond those asked for [N m]; even at zero torque both signs are solved."""
 
-# What the gradient carries a displacement by, in modules: over the squared steps of a pitch, as both errors
-# go with the square; times the sections, which bear one after the other. Costs 0.02 arcsec at ratio 100.
+# Change of displacement that the gradient may bridge, in modules: this over the squared steps of a pitch, as
+# both errors go with the square, times the sections, which bear one by one. Costs 0.02 arcsec at ratio 100.
 _CARRIED = 0.004
-# Times fewer teeth that are as exact by two gradients, and the least number that makes a turn: measured.
+# Factor by which two gradients need fewer teeth for the same error, and the least number per turn: measured.
 _FEWER, _LEAST = 1.75, 5
-# Samples that two gradients cost as much as one section solved at one angle: measured.
+# Samples for which two gradients cost as much as solving one section at one angle: measured.
 _SAMPLES = 100
 
 
 def warm_up(gradient: bool = False) -> None:
-    """Compile now, or read from the disk, what predictions and maps need; with `gradient` also fits."""
+    """Compile the kernels of predictions and maps, or load them from disk; with `gradient` also of fits."""
     kernel.entry.warm_up(gradient)
 
 
 def torsion(mesh: Mesh, wave_generator_angle: Floats, torque: float | Floats) -> Floats:
     """Exact torsion beta (moments,) [rad] at theta_W (moments,) [rad] and torques M on the cup [N m].
 
-    The middle of a true gap at zero torque; nan if no flank can bear the torque. Every element depends on its
-    own inputs alone, to the last bit. A large batch is spread over the cores.
+    At zero torque in a true gap it is the gap's middle; it is nan if no flank can bear the torque. Every
+    element depends only on its own inputs, to the last bit. A large batch is spread over the cores.
     """
     rows = moments(mesh, wave_generator_angle, torque)
     beta = np.empty(rows[0].size)
@@ -57,8 +57,8 @@ def torsion_table(mesh: Mesh, wave_generator_angle: Floats, torque: Floats) -> F
 def torsion_and_gradient(mesh: Mesh, wave_generator_angle: Floats, torque: Floats) -> tuple[Floats, Floats]:
     """Exact :func:`torsion` (moments,) [rad] and its derivatives (moments, 7), in one pass.
 
-    These are by E_x, E_y in the housing [rad/m], r_0 [rad/m], K1 + K2 [rad N/m], M [rad/(N m)] (infinite in a
-    true gap) and the tilt's x and y [-], which are zero where there is one section.
+    The derivatives are by E_x, E_y in the housing [rad/m], r_0 [rad/m], K1 + K2 [rad N/m], M [rad/(N m)]
+    (infinite in a true gap) and the tilt's x and y [-] (zero with one section).
 
     Notes
     -----
@@ -72,21 +72,21 @@ def torsion_and_gradient(mesh: Mesh, wave_generator_angle: Floats, torque: Float
 
 @dataclass(frozen=True, eq=False)
 class TorsionAlong:
-    """As :func:`torsion_and_gradient` along many samples, at any torques: solved at steps of some teeth only.
+    """As :func:`torsion_and_gradient` for many samples at any torques, solved only at steps of some teeth.
 
-    A tooth on, the drive is the same except for the direction in which it is displaced. Samples of other
-    teeth follow by the gradient, those between two steps straight. At a node they are exact at every torque;
-    what breaks where a pair comes into load is blurred by one step. nan where no flank can bear the torques.
+    One tooth further, the drive differs only in the direction of its displacement. The gradient extrapolates
+    to samples at other teeth; between two steps the torsion is linear. Nodes are exact at every torque. A
+    kink where a pair comes into load is blurred by one step. nan where no flank can bear the torques.
 
     Parameters
     ----------
     mesh : Mesh
     wave_generator_angle : ndarray, shape (n,)
-        Of the samples [rad].
+        Wave generator angles of the samples [rad].
     low, high : float
-        Torques on the cup between which it answers [N m].
+        Range of torques on the cup that it covers [N m].
     steps : int
-        Of a tooth's pitch.
+        Steps per tooth pitch.
     """
 
     mesh: Mesh
@@ -96,7 +96,7 @@ class TorsionAlong:
     steps: int
 
     def covers(self, torque: Floats) -> bool:
-        """Whether it answers at torques (n,) [N m]."""
+        """Whether all torques (n,) are within the range [N m]."""
         return bool(self.low <= np.min(torque, initial=math.inf)) and bool(
             np.max(torque, initial=-math.inf) <= self.high
         )
@@ -110,7 +110,7 @@ class TorsionAlong:
 
     @cached_property
     def _samples(self) -> tuple[Integers, tuple[Any, ...], tuple[Any, ...]]:
-        """Samples sorted by their cells, where they are in these, and the solved nodes about them."""
+        """Samples sorted by cell, their places in the cells, and the solved nodes around them."""
         mesh, steps, teeth = self.mesh, self.steps, self.mesh.geometry.circular_spline_teeth
         solved, blends = teeth_along(mesh, steps, self.wave_generator_angle.size)
         pitch, first = 2.0 * np.pi / teeth, (2 * np.arange(solved) + 1) * teeth // (2 * solved)
@@ -118,7 +118,7 @@ class TorsionAlong:
         every = np.arange(teeth)
         own, across = every * solved // teeth, np.zeros(teeth)
         if blends:
-            own = np.searchsorted(first, every, side="right") - 1  # -1: the last
+            own = np.searchsorted(first, every, side="right") - 1  # -1: the last tooth
             across = (every - first[own]) % teeth / ((np.roll(first, -1) - first) % teeth)[own]
         place = np.mod(self.wave_generator_angle, 2.0 * np.pi) * (teeth / (2.0 * np.pi))
         tooth = np.minimum(place.astype(np.int64), teeth - 1)
@@ -138,7 +138,7 @@ class TorsionAlong:
 def torsion_along(
     mesh: Mesh, wave_generator_angle: Floats, torque: Floats, steps: int
 ) -> tuple[Floats, Floats]:
-    """:class:`TorsionAlong` at some torques."""
+    """:class:`TorsionAlong`, built for given torques and called with them."""
     low, high = float(np.min(torque)) - BEYOND, float(np.max(torque)) + BEYOND
     return TorsionAlong(mesh, wave_generator_angle, low, high, steps)(torque)
 
@@ -146,8 +146,8 @@ def torsion_along(
 def teeth_along(mesh: Mesh, steps: int, samples: int) -> tuple[int, bool]:
     """Number of teeth at which :func:`torsion_along` solves, and whether it blends two of them for a sample.
 
-    The more, the farther the wave generator is displaced. Of two gradients fewer are needed, which takes
-    longer for every sample: it pays where samples are few.
+    The number rises with the wave generator's displacement. Blending two gradients needs fewer teeth but more
+    time per sample, so it pays if there are few samples.
     """
     farthest, geometry = abs(mesh.eccentricity) + mesh.lean, mesh.geometry
     needed = math.ceil(math.pi * farthest * steps**2 / (_CARRIED * geometry.sections * geometry.module))
@@ -158,7 +158,7 @@ def teeth_along(mesh: Mesh, steps: int, samples: int) -> tuple[int, bool]:
 
 
 def _with_compliance(mesh: Mesh, torque: Floats, gradient: Floats) -> Floats:
-    """Derivatives by E_x, E_y, r_0, K1 + K2, M, tilt from those by E_x, E_y, r_0, tilt where there is, M."""
+    """Derivatives by E_x, E_y, r_0, K1 + K2, M, tilt from those by E_x, E_y, r_0, tilt (if any), M."""
     by_torque, tilt = gradient[:, -1], np.zeros((torque.size, 2))
     tilt[:, : gradient.shape[1] - 4] = gradient[:, 3:-1]
     with np.errstate(invalid="ignore"):  # in a true gap there is no torque

@@ -1,12 +1,12 @@
-"""Torsion over a turn of the wave generator and torque, tabulated: a prediction is an interpolation.
+"""Torsion tabulated over a turn of the wave generator and torque, so that a prediction is an interpolation.
 
-With exact tooth numbers the mesh repeats with one turn of the wave generator, so the torsion is a function on
-a cylinder (theta_W, M). In torque it is piecewise linear and the table keeps its own breakpoints, so that
-only the step from one wave generator angle to the next is interpolated. Where a true gap makes the torsion
-jump at zero torque, the table holds both ends and gives the middle.
+With exact tooth numbers the mesh repeats after one turn of the wave generator, so the torsion is a function
+on a cylinder (theta_W, M). It is piecewise linear in torque, and the table keeps the breakpoints of each
+angle, so only the step between two wave generator angles is an approximation. Where a true gap makes the
+torsion jump at zero torque, the table holds both ends and gives the middle.
 
-Torques and torsions are whole steps of 16 bits: of the torque's root, and of what the curve departs from a
-line. Breakpoints are moved along the curve to the nearest step, so that only the torsion's rounding counts.
+Torques and torsions are stored as 16-bit steps: steps of the torque's root, and of the curve's departure from
+a line. Breakpoints are moved along the curve to the nearest torque step, so only the torsion is rounded.
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ from hd_diag.model.threads import spread
 from hd_diag.model.torsion import torsion_table
 
 TOLERANCE = 0.01 * ARCSEC
-"""Error that a map aims at [rad]."""
+"""Target error of a map [rad]."""
 
-# Wave generator angles per tooth passing. The torsion's slope breaks where a pair comes into load; with fewer
-# teeth each pair brings more of the stiffness and moves further per angle, so the steps per tooth go as
-# 1 / Z_G^2. 64 keep a gear of ratio 100 within TOLERANCE, and so do 250 one of ratio 50 and 25 one of 160.
-# Half as many do in sections: each brings a share of a pair's stiffness.
+# Wave generator angles per tooth passing. The torsion's slope has a kink where a pair comes into load. With
+# fewer teeth each pair has more of the stiffness and moves further per angle, so the steps per tooth go as
+# 1 / Z_G^2. TOLERANCE needs 64 at ratio 100, 250 at ratio 50 and 25 at ratio 160. With sections half as many
+# are enough, because each section brings only a share of a pair's stiffness.
 STEPS_PER_TOOTH = 64
 _IN_SECTIONS = 0.5
 _FINE_TEETH = 202
 _CHECKED_ANGLES = 512
 _CHECKED_TORQUES = 64
-_MISSED = 2.0  # checks rarely meet a cell's worst place, but half of the greatest error they do [-]
-_SAMPLES = 10_000  # that a thread takes at a time
-_LEAST_STEP = 1e-30  # of torsion, where a curve is a line [rad]
-_CHUNK = 256  # angles per call, so that a build can be given up and lets other threads run
+_MISSED = 2.0  # checks rarely meet a cell's worst place, but they find half the greatest error [-]
+_SAMPLES = 10_000  # samples that a thread takes at a time
+_LEAST_STEP = 1e-30  # torsion step where a curve is a line [rad]
+_CHUNK = 256  # angles per call: between calls a build can be cancelled and other threads run
 
 
 class BuildCancelled(Exception):
@@ -57,21 +57,21 @@ class TorsionMap:
     Attributes
     ----------
     mesh : Mesh
-        What it was built for.
+        Mesh that the map was built for.
     torque, torsion : ndarray of int16, shape (n + 1, breakpoints)
-        The piecewise-linear curve of every angle of a period, rising; the last angle repeats the first. In
-        steps: `STEPS` of the torque's root, with its sign, are that of the requested limit.
+        The rising piecewise-linear curve of every angle of a period; the last angle repeats the first. Torque
+        steps count the signed root of the torque: `STEPS` of them are the root of the requested limit.
     lines : ndarray of float32, shape (n + 1, 3)
-        What each angle's torsions are counted from: torsion at no torque [rad], slope [rad/(N m)]; and their
-        step [rad].
+        Line that each angle's torsions are counted from: torsion at zero torque [rad], slope [rad/(N m)];
+        and the torsion step [rad].
     repeats : int
         Periods in a turn of the wave generator.
     requested_limit : float
-        What it was built for [N m].
+        Greatest |M| asked for [N m].
     torque_limit : float
-        Greatest |M| that it answers for [N m]; it ends before the other where the torsion jumps.
+        Greatest |M| that the map covers [N m]; less than the requested limit if the torsion jumps.
     error_bound : float
-        Twice the greatest difference from the exact solution that was found between the angles [rad].
+        Twice the greatest difference from the exact solution that checks found between the angles [rad].
     """
 
     mesh: Mesh
@@ -85,13 +85,13 @@ class TorsionMap:
 
     @cached_property
     def place(self) -> tuple[float, ...]:
-        """Where the table lies, for kernels: breakpoints, torsions, lines, index; size, periods, limits."""
+        """Addresses for kernels of breakpoints, torsions, lines, index; then size, periods, limits."""
         *arrays, repeats, limit, greatest = self._table
         return *(array.ctypes.data for array in arrays), *self.torque.shape, repeats, limit, greatest
 
     @cached_property
     def _table(self) -> tuple[Any, ...]:
-        """As kernels read it, index included."""
+        """The table and its index in the form that kernels read."""
         torque, torsion = (np.require(each, np.int16, ["C", "W"]) for each in (self.torque, self.torsion))
         lines, limits = (
             np.require(self.lines, np.float32, ["C", "W"]),
@@ -102,8 +102,8 @@ class TorsionMap:
     def __call__(self, wave_generator_angle: Floats, torque: Floats) -> Floats:
         """Torsion (n,) [rad] at wave generator angles (n,) [rad] and torques on the cup (n,) [N m].
 
-        Linear over the angle; nan beyond `torque_limit`. Every element depends on its own inputs alone, to
-        the last bit, however many are asked for at once.
+        It is linear between angles, and nan beyond `torque_limit`. Every element depends only on its own
+        inputs, to the last bit, whatever the size of the batch.
         """
         turn, load = contiguous(wave_generator_angle), contiguous(torque)
         if turn.shape != load.shape:
@@ -126,15 +126,15 @@ def build(
     ----------
     mesh : Mesh
     torque_limit : float
-        Greatest |M| to hold [N m]. Where pairs enter by their tip corners under load
-        the torsion jumps and no table can follow: the map then answers only below that torque.
+        Greatest |M| of the map [N m]. Where pairs enter with their tip corners under load, the torsion jumps
+        and no table can follow: the map then ends below that torque.
     wanted : callable
-        Called with the fraction done; returning False gives the build up.
+        Called with the fraction done; returning False cancels the build.
     steps_per_tooth : int
         Wave generator angles per tooth passing of a gear with 202 slots in one section; the error falls with
-        its square.
+        the square of this number.
     threads : int
-        How many solve angles at once; the map is the same.
+        Number of threads that solve angles; it does not change the map.
 
     Returns
     -------
@@ -156,10 +156,10 @@ def build(
 
 
 def _repeats(mesh: Mesh) -> int:
-    """How often the torsion repeats within a turn of the wave generator.
+    """Number of periods of the torsion within a turn of the wave generator.
 
-    What turns with it meets every slot alike; beside what stands in the housing one lobe does what the other
-    did half a turn before.
+    A displacement that turns with it meets every slot alike. With a displacement fixed in the housing, one
+    lobe repeats what the other did half a turn before.
     """
     if mesh.arc_offset:
         return 1
@@ -171,10 +171,10 @@ def _repeats(mesh: Mesh) -> int:
 def _curves(
     mesh: Mesh, angle: Floats, torque_limit: float, wanted: Callable[[float], bool], threads: int
 ) -> tuple[Steps, Steps, Singles]:
-    """Piecewise-linear curves of a period, rising, shape (angles + 1, breakpoints), and their lines.
+    """Rising piecewise-linear curves of a period, shape (angles + 1, breakpoints), and their lines.
 
     The last angle repeats the first; a true gap has two breakpoints at zero torque. Rows with fewer
-    breakpoints end with more of the limit. ValueError where no flank can bear it.
+    breakpoints are padded with the limit. Raises ValueError where no flank can bear the limit.
     """
     turn, center, _ = moments(mesh, angle)
     parts = [slice(begin, min(begin + _CHUNK, angle.size)) for begin in range(0, angle.size, _CHUNK)]
@@ -199,7 +199,7 @@ def _curves(
     both = [np.empty((angle.size + 1, last + 1 - first), np.int16) for _ in range(2)]
     lines = np.concatenate([*(lines for *_, lines in found), found[0][-1][:1]])
     for part in parts:
-        for whole, own in zip(both, found.pop(0), strict=False):  # no second copy is kept of what is large
+        for whole, own in zip(both, found.pop(0), strict=False):  # pop: no second copy of large arrays stays
             whole[part] = own[:, -1:]
             whole[part, : own.shape[1] - first] = own[:, first : last + 1]
     for whole in both:
@@ -208,11 +208,11 @@ def _curves(
 
 
 def _in_steps(torque: Floats, torsion: Floats, limit: float) -> tuple[Steps, Steps, Singles]:
-    """Curves (n, k) [N m], [rad] as a map holds them; breakpoints move along the piece that they go to."""
+    """Curves (n, k) [N m], [rad] in a map's steps; each breakpoint moves along the piece it moves into."""
     slope = (torsion[:, -1:] - torsion[:, :1]) / (2.0 * limit)
     place = np.copysign(np.rint(STEPS * np.sqrt(np.abs(torque) / limit)), torque)
     moved = place * np.abs(place) * (limit / STEPS**2) - torque
-    with np.errstate(all="ignore"):  # of no length, or nan where no flank can bear the limit
+    with np.errstate(all="ignore"):  # pieces of no length; nan where no flank can bear the limit
         rise = np.diff(torsion) / np.diff(torque)
     rise = np.where(np.isfinite(rise), rise, slope)
     along = np.where(moved > 0.0, np.hstack((rise, slope)), np.hstack((slope, rise)))
@@ -225,7 +225,7 @@ def _in_steps(torque: Floats, torsion: Floats, limit: float) -> tuple[Steps, Ste
 
 
 def _checked(built: TorsionMap, jump: float) -> TorsionMap:
-    """Measure the error between the angles; end the map below the torque where the torsion jumps [rad]."""
+    """Measure the error between the angles; end the map below the torque where it exceeds `jump` [rad]."""
     steps = built.repeats * (built.torque.shape[0] - 1)
     count = np.arange(_CHECKED_ANGLES)
     # Golden-section sequences meet every tooth passing and every phase of the cells evenly.

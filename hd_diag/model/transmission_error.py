@@ -23,7 +23,7 @@ from hd_diag.model.geometry import Geometry
 
 Output = Literal["flexspline", "circular_spline"]
 
-# A ratio may miss the teeth's by rounding in a configuration file, no more [-].
+# A ratio may differ from the teeth's only by rounding in a configuration file [-].
 _RATIO_TOLERANCE = 1e-9
 
 
@@ -68,7 +68,7 @@ class Kinematics:
     phase : float
         Angle of the wave generator's long axis at input angle zero [rad].
     of_teeth : bool
-        Whether the ratio is that of the mesh's teeth; else that of a gear whose teeth nobody knows.
+        Whether the ratio is that of the mesh's teeth; False for a gear with unknown teeth.
     """
 
     ratio: float
@@ -82,8 +82,8 @@ class Kinematics:
         Raises
         ------
         ValueError
-            If |ratio| is not Z_R / (Z_G - Z_R) (output at the flexspline) or Z_G / (Z_G - Z_R), where it
-            has to be; it says which output or which teeth would have the ratio.
+            If `of_teeth` and |ratio| is not Z_R / (Z_G - Z_R) (output at the flexspline) or Z_G /
+            (Z_G - Z_R). The message names the output or the teeth that would have the ratio.
         """
         if self.output not in ("flexspline", "circular_spline"):
             raise ValueError(f"output must be 'flexspline' or 'circular_spline', not {self.output!r}")
@@ -107,7 +107,7 @@ class Kinematics:
         return abs(abs(self.ratio) - expected) <= _RATIO_TOLERANCE * expected
 
     def _teeth(self) -> str:
-        """Which teeth have the ratio, for an error; empty where two more on the circular spline cannot."""
+        """Error text on the teeth that have the ratio; empty if no Z_R with Z_G = Z_R + 2 has it."""
         flexspline = 2.0 * abs(self.ratio) - (2.0 if self.output == "circular_spline" else 0.0)
         if not (math.isfinite(flexspline) and flexspline >= 2.0 and flexspline % 1.0 == 0.0):
             return ""
@@ -117,7 +117,7 @@ class Kinematics:
         )
 
     def frame(self, geometry: Geometry, cup_compliance: float = 0.0) -> Frame:
-        """The same as numbers, for the teeth of a geometry and a torsion of the cup [rad/(N m)]."""
+        """Frame for the teeth of a geometry and a compliance of the cup [rad/(N m)]."""
         turning, torque_sign = math.copysign(1.0, self.ratio), 1.0
         if self.output == "flexspline":
             turning, torque_sign = -turning, -1.0

@@ -1,4 +1,4 @@
-"""Assemblies drawn from tolerances, their worst over a turn, and the share of them within the limits."""
+"""Assemblies drawn from tolerances, their worst values over a turn, and the share within the limits."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ FACTORS = (
     "tooth_compliance",
     "cup_compliance",
 )
-"""What differs from assembly to assembly; each is a function of a number of its own between 0 and 1."""
+"""Factors that vary between assemblies; each is a function of its own number between 0 and 1."""
 
 WITHIN = 0.9973
 """Share of assemblies whose eccentricity is within the tolerance: three sigma of a normal distribution."""
 
 ANGLES = 96
-"""Wave generator angles of a turn at which an assembly is looked at; 202 slots meet them in 48 phases."""
+"""Wave generator angles per turn at which an assembly is evaluated; 202 slots meet them in 48 phases."""
 
 _CONFIDENCE = 0.95
-_EDGE = 1e-6  # draws stay so far from 0 and 1, where a distribution has no end
+_EDGE = 1e-6  # draws keep this distance from 0 and 1, where a distribution is unbounded
 _CHUNK = 4  # assemblies per task: some tenths of a second
 
-# Quantiles of distributions of size 1. Those of a magnitude begin at zero.
+# Quantiles of distributions of size 1. Magnitudes begin at zero.
 _MAGNITUDE: Mapping[str, Callable[[Floats], Floats]] = {
     "fixed": np.ones_like,
     "uniform": np.asarray,
@@ -68,10 +68,10 @@ class Spread:
 
 @dataclass(frozen=True)
 class Assembly:
-    """One drive as assembled: with its runout, datum and compliances, without eccentricity.
+    """One drive as assembled: `drive` has its own runout, datum and compliances, without eccentricity.
 
-    `eccentricity` is x + iy over its tolerance [-]; `slot_angle` (Z_G,) is by how much each slot stands
-    counter-clockwise of its place [rad].
+    `eccentricity` is x + iy over its tolerance [-]; `slot_angle` (Z_G,) is the counter-clockwise deviation of
+    each slot from its place [rad].
     """
 
     drive: Drive
@@ -81,10 +81,10 @@ class Assembly:
 
 @dataclass(frozen=True)
 class Population:
-    """What assemblies are drawn from and judged by.
+    """Distribution that assemblies are drawn from, and conditions that they are judged at.
 
-    The drive as designed, whose eccentricity and runout do not count; spreads by the names of the quantities;
-    torques on the cup (q,) [N m]; number of wave generator angles of a turn.
+    The drive as designed, whose eccentricity and runout are ignored; spreads by name of the quantity; torques
+    on the cup (q,) [N m]; number of wave generator angles per turn.
     """
 
     drive: Drive
@@ -99,7 +99,7 @@ class Population:
 
     @property
     def tolerance(self) -> float:
-        """Eccentricity that the configured distribution keeps within in a share :data:`WITHIN` [m]."""
+        """Eccentricity that a share :data:`WITHIN` of the configured distribution does not exceed [m]."""
         spread = self.spreads["eccentricity"]
         return spread.size * float(_unit("eccentricity", spread, WITHIN))
 
@@ -135,7 +135,7 @@ def draw(population: Population, numbers: Floats) -> Assembly:
     )
     shape = population.spreads["eccentricity"]
     size, within = _unit("eccentricity", shape, np.array([u["eccentricity"], WITHIN]))
-    # Every slot's own deviation, from a stream of random numbers that the one number chooses.
+    # Every slot has its own deviation, from a random stream that one number seeds.
     stream = np.random.default_rng(int(u["pitch"] * 2.0**53)).random(geometry.circular_spline_teeth)
     radius = geometry.curve.radius + 0.5 * (geometry.flexspline_root + geometry.flexspline_tip)
     pitch = population.spreads["pitch"]
@@ -147,14 +147,14 @@ def draw(population: Population, numbers: Floats) -> Assembly:
 
 
 def check(population: Population, largest: float) -> None:
-    """Raise ValueError if tolerances draw what cannot be assembled, up to a greatest eccentricity [m]."""
+    """Raise ValueError if a draw cannot be assembled, up to a `largest` eccentricity [m]."""
     for end in (0.0, 1.0):
         assembly = draw(population, np.full(len(FACTORS), end))
         dataclasses.replace(assembly.drive.mesh, eccentricity=largest * assembly.eccentricity)
 
 
 def worst(population: Population, assembly: Assembly, tolerances: Floats) -> Floats:
-    """Worst of every criterion over a turn and all torques (6, t).
+    """Worst value of every criterion over a turn and all torques (6, t).
 
     The assembly's eccentricity is scaled by each tolerance (t,) [m].
     """
@@ -173,7 +173,7 @@ def judged(
     tolerances: Floats,
     done: Callable[[], None] = lambda: None,
 ) -> Floats:
-    """Worst of every criterion of many assemblies (samples, 6, t); `done` is called after every chunk.
+    """Worst value of every criterion for many assemblies (samples, 6, t); `done` is called after every chunk.
 
     Numbers (samples, 8) as for :func:`draw`; tolerances (t,) [m].
     """
@@ -196,9 +196,9 @@ def yields(values: Floats, limits: Floats) -> tuple[Share, list[Share]]:
 
 
 def tolerance_at(share: Share, tolerances: Floats, target: float) -> float:
-    """Largest tolerance with a share that reaches its target, linear between rising tolerances (t,) [m].
+    """Largest tolerance whose share reaches the target, linear between rising tolerances (t,) [m].
 
-    nan if even the least tolerance has less; the greatest if all have as much.
+    nan if even the least tolerance misses the target; the greatest tolerance if none misses it.
     """
     below = np.flatnonzero(share.share < target)
     if not below.size:
@@ -222,8 +222,8 @@ def _judged(task: tuple[Population, Floats, Floats]) -> Floats:
 
 
 def _share(within: npt.NDArray[np.bool_]) -> Share:
-    """Of booleans (samples, t)."""
-    from scipy.stats import binomtest  # late: it takes half a second
+    """Share of true values in booleans (samples, t), with its bounds."""
+    from scipy.stats import binomtest  # imported here: it takes half a second
 
     count, samples = within.sum(axis=0), within.shape[0]
     bounds = [binomtest(int(k), samples).proportion_ci(_CONFIDENCE, "wilson") for k in count]

@@ -1,4 +1,4 @@
-"""Everything that is judged of a mesh, at many moments and torques at once: one number per criterion."""
+"""Criteria of a mesh, evaluated at many moments and torques at once: one number per criterion."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from hd_diag.model.kernel.mesh_data import blank
 from hd_diag.model.mesh import Mesh, contiguous
 from hd_diag.streams.columns import LARGEST_TORQUE
 
-_PHASES = 32  # tooth phases over which the reference stiffness is the mean
+_PHASES = 32  # tooth phases over which the reference stiffness is the least
 
 
 @dataclass(frozen=True)
 class Criterion:
-    """A criterion that judges an assembly: too much of it is bad.
+    """A criterion of an assembly; larger values are worse.
 
-    Name and its short form; SI unit; unit that people read and how many of it make one; whether it jumps
-    where a pair comes into load.
+    Name and its short form; SI unit; displayed unit and its number per SI unit; whether the value jumps where
+    a pair comes into load.
     """
 
     name: str
@@ -43,11 +43,11 @@ CRITERIA = (
     Criterion("stiffness_loss", "stiff.", "-", "%", 100.0, jumps=True),  # against a perfect assembly
     Criterion("transmission_error", "TE", "rad", "arcsec", 1.0 / ARCSEC),  # peak to peak over a turn
 )
-"""All but the last are of a moment; the last is of a turn of the wave generator."""
+"""All except the last apply to a moment; the last applies to a turn of the wave generator."""
 
 NAMES = tuple(criterion.name for criterion in CRITERIA)
 
-# What they need of a moment: the first lobe as it is held, all flanks, and loads on these.
+# Criteria that need of a moment: the first lobe with its tooth held, all flanks, loads on the flanks.
 _OF_LOBE, _OF_FLANKS, _OF_LOADS = frozenset(NAMES[:2]), frozenset(NAMES[1:]), frozenset(NAMES[2:])
 
 
@@ -55,11 +55,11 @@ _OF_LOBE, _OF_FLANKS, _OF_LOADS = frozenset(NAMES[:2]), frozenset(NAMES[1:]), fr
 class Evaluation:
     """Quantities of n moments, those under load at q torques.
 
-    `interference` (n,): least backlash at lobe 0 with the opposite sign [m], as :func:`evaluate` says.
-    `overlap` (n,): how far both lobes press against each other at zero torque, circumferential [m]; negative
+    `interference` (n,): least backlash at lobe 0 with the opposite sign [m], see :func:`evaluate`. `overlap`
+    (n,): circumferential distance by which both lobes press against each other at zero torque [m]; negative
     is clearance; above zero no rotation of the cup frees all teeth. With shape (n, q): torsion beta [rad],
     stiffness dM/dbeta of the teeth [N m/rad], largest force on a flank [N], largest over mean force of the
-    loaded flanks [-], 1 where none is.
+    loaded flanks [-], which is 1 without loaded flanks.
     """
 
     interference: Floats
@@ -88,18 +88,18 @@ def evaluate(
     Quantities that no `wanted` criterion needs are nan, too.
 
     The moments are wave generator angles theta_W [rad] and displacements of its centre in the housing, x + iy
-    [m], each (n,); the mesh's own eccentricity and runout do not count. Torques are M on the cup (q,) [N m];
-    `slot_angle` (Z_G,) is by how much each slot stands counter-clockwise of its place [rad]. A `tilt` (n,)
-    takes the place of the mesh's own [rad].
+    [m], each (n,); the mesh's own eccentricity and runout are ignored. Torques are M on the cup (q,) [N m];
+    `slot_angle` (Z_G,) is the counter-clockwise deviation of each slot from its place [rad]. A `tilt` (n,)
+    replaces the mesh's own [rad].
 
     Notes
     -----
     Interference as in Dong et al. (2019), section 4.2: tooth 0 stays on the axis although the wave generator
-    is displaced across it (eq. 1), so the arc offset is ``s_0 = -E_across``; a tooth's backlash is the lesser
-    of its two flanks; the least of the lobe at tooth 0 counts, because at the other lobe the displacement
-    points the other way.
+    is displaced across it (eq. 1), so the arc offset is ``s_0 = -E_across``. A tooth's backlash is the lesser
+    of its two flanks. Only the least backlash of the lobe at tooth 0 counts, because the displacement points
+    the other way at the other lobe.
     """
-    from hd_diag.tolerance import kernel  # here, because numba takes its time
+    from hd_diag.tolerance import kernel  # imported here, because numba takes long to load
 
     turn, center = contiguous(wave_generator_angle), np.ascontiguousarray(displacement, dtype=np.complex128)
     across: Floats = np.imag(center * np.exp(-1j * turn))
@@ -120,8 +120,8 @@ def evaluate(
 def reference_stiffness(drive: Drive, cup_torque: Floats) -> Floats:
     """Least torsional stiffness of a drive without eccentricity and runout (q,) [N m/rad].
 
-    It varies as pairs come into load, by 1 % for 200 teeth and 3 % for 100, which is no loss. Raises
-    ValueError if the teeth cannot bear one of the torques on the cup (q,) [N m].
+    The stiffness varies as pairs come into load, by 1 % for 200 teeth and 3 % for 100; this is no loss.
+    Raises ValueError if the teeth cannot bear one of the torques on the cup (q,) [N m].
     """
     turn = drive.mesh.geometry.slot_pitch * np.arange(_PHASES) / _PHASES
     found = evaluate(drive.mesh, turn, np.zeros(_PHASES, dtype=np.complex128), cup_torque)
@@ -135,8 +135,8 @@ def reference_stiffness(drive: Drive, cup_torque: Floats) -> Floats:
 def cup_torques(drive: Drive, torque: Floats) -> Floats:
     """Torques on the cup for torques that the drive exerts on the link [N m].
 
-    Raises ValueError if one is zero or not finite, because stiffness and load distribution are those under
-    load, or if one is beyond :data:`LARGEST_TORQUE`.
+    Raises ValueError if a torque is zero or not finite, because stiffness and load distribution need a load,
+    or if its magnitude exceeds :data:`LARGEST_TORQUE`.
     """
     for value in torque:
         if value == 0.0 or not math.isfinite(value):
@@ -149,7 +149,7 @@ def cup_torques(drive: Drive, torque: Floats) -> Floats:
 def of_moments(found: Evaluation, cup_compliance: float, reference: Floats) -> Floats:
     """Criteria of n moments at q torques (5, n, q); infinite where no flank can bear the torque.
 
-    A loss of stiffness counts against a reference (q,) [N m/rad].
+    The loss of stiffness is relative to a reference (q,) [N m/rad].
     """
     shape = found.torsion.shape
     values = np.stack(
@@ -165,9 +165,9 @@ def of_moments(found: Evaluation, cup_compliance: float, reference: Floats) -> F
 
 
 def over_turns(found: Evaluation, turns: int, cup_compliance: float, reference: Floats) -> Floats:
-    """Worst of every criterion over each of several turns of the wave generator (6, turns, q).
+    """Worst value of every criterion over each of several turns of the wave generator (6, turns, q).
 
-    The moments are those of one turn after the other, equally many of each.
+    The moments are ordered turn by turn, with equally many in each.
     """
     values = of_moments(found, cup_compliance, reference)
     worst = values.reshape(len(values), turns, -1, reference.size).max(axis=2)
@@ -176,7 +176,7 @@ def over_turns(found: Evaluation, turns: int, cup_compliance: float, reference: 
 
 
 def warm_up() -> None:
-    """Compile now, or read from the disk, the model's kernels and those of :func:`evaluate`."""
+    """Compile the model's kernels and those of :func:`evaluate`, or load them from disk."""
     from hd_diag.tolerance import kernel
 
     torsion.warm_up()

@@ -1,4 +1,4 @@
-"""What :func:`hd_diag.tolerance.evaluation.evaluate` gives, compiled in two parts; imports numba."""
+"""Compiled parts of :func:`hd_diag.tolerance.evaluation.evaluate`; this module imports numba."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from hd_diag.model.kernel.poses import Teeth, place
 def loads(
     mesh: MeshData, turn: Floats, center: Complexes, tilt: Complexes, slot_angle: Floats, torque: Floats
 ) -> tuple[Floats, Floats]:
-    """Gap between both lobes (n,) [rad]; `_load` at every torque (n, q, 4).
+    """Gap between both lobes (n,) [rad]; values of `_load` at every torque (n, q, 4).
 
-    ``tilt`` (n,) takes the place of the mesh's, ``slot_angle`` (Z_G,) is by how much each slot stands
-    counter-clockwise of its place [rad].
+    ``tilt`` (n,) replaces the mesh's [rad]; ``slot_angle`` (Z_G,) is the counter-clockwise deviation of each
+    slot from its place [rad].
     """
     work, gap = scratch(mesh), np.empty(turn.size)
     loads, force = np.empty((turn.size, torque.size, 4)), np.empty((2, mesh.constants.flexspline_teeth))
@@ -53,7 +53,7 @@ def lobes(
 ) -> Floats:
     """Least backlash and mean contact radius at lobe 0 (n, 2) [m].
 
-    As :func:`loads`; ``anchor`` (n,) is the arc offset at which the backlash counts [m].
+    Arguments as for :func:`loads`; ``anchor`` (n,) is the arc offset at which the backlash counts [m].
     """
     work, found = scratch(mesh), np.empty((turn.size, 2))
     for i in range(turn.size):
@@ -64,7 +64,7 @@ def lobes(
 
 @part
 def _turn(side: Side, teeth: Teeth, slot_angle: Floats) -> None:
-    """Turn the slots: flanks begin to bear at as much greater a torsion."""
+    """Turn the slots: the torsion at which a flank begins to bear rises by its slot's angle."""
     for j in range(side.start.size):
         side.start[j] += slot_angle[int(teeth.slot[side.column[j]]) % slot_angle.size]
 
@@ -73,7 +73,7 @@ def _turn(side: Side, teeth: Teeth, slot_angle: Floats) -> None:
 def _load(compliance: float, teeth: Teeth, found: Flanks, torque: float, force: Floats, out: Floats) -> None:
     """Torsion [rad], stiffness [N m/rad], peak force [N], peak over mean force [-] at one torque.
 
-    ``force`` (2, Z_R) is room for those of teeth, which are sums over the sections.
+    ``force`` (2, Z_R) is working space for forces on teeth, which are sums over the sections.
     """
     beta = balance(found, torque)
     force[:] = 0.0

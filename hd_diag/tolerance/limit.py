@@ -1,7 +1,8 @@
 """The smallest eccentricity or tilt that exceeds a criterion, over all directions and input angles.
 
-A drive in sections may lean: what is looked for is then the displacement of the outermost section; a
-share comes from the tilt: 0 is an eccentricity alone, 1 a tilt alone, -0.5 half of each against each other.
+A drive in sections may have a tilt. The search is then for the displacement of the outermost section, and
+`leaning` is the tilt's share of it: 0 is an eccentricity alone, 1 a tilt alone, -0.5 half of each in opposite
+directions.
 """
 
 from __future__ import annotations
@@ -25,19 +26,19 @@ from hd_diag.model.torsion import torsion
 from hd_diag.tolerance.evaluation import CRITERIA, NAMES, evaluate, of_moments, reference_stiffness
 
 STEPS = 60
-"""Steps of the eccentricity in which the first excess is looked for."""
+"""Steps of the eccentricity in the search for the first excess."""
 
 FINE_STEPS = 16
-"""Parts of the step of the first excess, for a criterion that jumps."""
+"""Parts into which the step of the first excess is divided, for a criterion that jumps."""
 
 ROOT_TOLERANCE = 1e-10
-"""Resolution of the displacement of an excess [m]."""
+"""Resolution of the displacement at which a limit is exceeded [m]."""
 
 CHART_STEPS = 24
-"""Steps of the displacement in a chart, between which it is straight."""
+"""Steps of the displacement in a chart, which is linear between them."""
 
-_MOST = 1e9  # stands for an infinite value, where no flank can bear the torque: a finite step
-_ROUNDING = 1e-9  # share of a limit by which the worst at its crossing may exceed it [-]
+_MOST = 1e9  # replaces an infinite value where no flank can bear the torque: root finding needs finite ones
+_ROUNDING = 1e-9  # share of a limit by which the worst value at its crossing may exceed it [-]
 
 # A mesh that is turned by a slot pitch together with its eccentricity stays the same. The search therefore
 # covers the eccentricity's angle from the long axis and the wave generator's angle within a pitch.
@@ -45,13 +46,13 @@ _SCAN = (36, 4)
 _SEARCH, _SEARCH_OF_JUMPS = (72, 8), (72, 16)
 _TURN_DIRECTIONS, _TURN_PHASES = 4, 6  # within a slot pitch: of the eccentricity, of the wave generator
 
-_HILLS = 8  # local maxima that are climbed
-_ROUNDS, _CLOSER, _BESIDE = 6, 3, 3  # of a climb: so many grids, each so much finer, points to either side
-_ROOM = 0.8  # of what a mesh can be displaced by: runout and datum of an assembly take their part
+_HILLS = 8  # most local maxima that are refined
+_ROUNDS, _CLOSER, _BESIDE = 6, 3, 3  # of a refinement: grids, factor between their steps, points to each side
+_ROOM = 0.8  # share of the possible displacement: runout and datum of an assembly need the rest
 
-# A mesh without runout has images of each of its moments: mirrored, and with the lobes swapped. Values this
-# near to the greatest [-], more than a climb misses, are such images: the first of them is taken, else
-# rounding would choose, another one on another machine.
+# In a mesh without runout each moment has images: mirrored, and with the lobes swapped. Values within this
+# share of the greatest [-], which is more than the error of a refinement, are such images. The first one is
+# taken, because rounding would choose a different one on another machine.
 _IMAGE = 1e-4
 
 RESOLUTION = tuple(
@@ -62,10 +63,10 @@ RESOLUTION = tuple(
 
 @dataclass(frozen=True)
 class Worst:
-    """Greatest value of a criterion at an eccentricity, and where.
+    """Greatest value of a criterion at a displacement, and its place.
 
-    Direction of the eccentricity, or of the tilt alone, in the housing and wave generator angle theta_W
-    [rad]; adding a slot pitch to both gives as bad a moment.
+    Direction of the eccentricity, or of a tilt alone, in the housing, and wave generator angle theta_W [rad].
+    Adding a slot pitch to both gives an equally bad moment.
     """
 
     value: float
@@ -75,12 +76,12 @@ class Worst:
 
 @dataclass(frozen=True)
 class DisplacementLimit:
-    """Where a criterion is first exceeded.
+    """Displacement at which a criterion is first exceeded.
 
     The largest eccentricity [m] and tilt [rad] within the limit in all directions, nan if the limit is not
-    reached; the worst there, else at the largest one looked at; the value `without` both; `scanned` (2, STEPS
-    + 1): displacements of the outermost section [m], without tilt the eccentricities, and the values on a
-    coarse grid of direction and angle.
+    reached; the worst moment there, or at the largest displacement searched; the value `without` eccentricity
+    and tilt; `scanned` (2, STEPS + 1): displacements of the outermost section [m] (eccentricities if there is
+    no tilt), and the values on a coarse grid of direction and angle.
     """
 
     criterion: str
@@ -93,7 +94,7 @@ class DisplacementLimit:
 
     @property
     def reached(self) -> bool:
-        """Whether anything looked at exceeds the limit."""
+        """Whether any displacement searched exceeds the limit."""
         return math.isfinite(self.eccentricity)
 
 
@@ -103,15 +104,15 @@ def input_angle(drive: Drive, wave_generator_angle: float) -> float:
 
 
 def largest_eccentricity(drive: Drive) -> float:
-    """How far to look [m]: a fifth of the module, but no farther than the mesh can be displaced."""
+    """Default range of the search [m]: a fifth of the module, at most 0.8 of the possible displacement."""
     geometry = drive.mesh.geometry
     return min(0.2 * geometry.module, _ROOM * largest_displacement(geometry)[0])
 
 
 def divided(geometry: Geometry, displacement: float, leaning: float) -> tuple[float, float]:
-    """Eccentricity [m] and tilt [rad] that displace the outermost section [m], with the tilt's share of it.
+    """Eccentricity [m] and tilt [rad] that displace the outermost section [m], given the tilt's share.
 
-    A negative share leans against the eccentricity. In one section nothing leans.
+    A negative share tilts against the eccentricity. With one section the share must be 0.
     """
     arm = float(np.abs(geometry.section_places).max())
     return displacement * (1.0 - abs(leaning)), displacement * (leaning / arm if leaning else 0.0)
@@ -129,11 +130,11 @@ def first_excess(
 ) -> DisplacementLimit:
     """The smallest displacement that exceeds a criterion, searched up to a `largest` one [m].
 
-    `leaning` is the tilt's share of it. The drive's own eccentricity and tilt do not count; its runout stays.
+    `leaning` is the tilt's share of it. The drive's own eccentricity and tilt are ignored; its runout stays.
     The torque is that on the cup [N m].
 
-    The value need not rise with the displacement. The first of :data:`STEPS` steps with an excess is solved
-    (Brent); for a criterion that jumps, the first of its :data:`FINE_STEPS` parts. An excess that
+    The value need not rise with the displacement. Brent's method solves the first of :data:`STEPS` steps with
+    an excess; for a criterion that jumps, the first such of its :data:`FINE_STEPS` parts. An excess that
     comes and goes within a step is missed.
     """
     search = _Search(drive, cup_torque, criterion, leaning)
@@ -148,14 +149,14 @@ def first_excess(
 def allowed(
     drive: Drive, cup_torque: float, limits: Mapping[str, float], largest: float
 ) -> tuple[float, str] | None:
-    """The least of all criteria's :func:`first_excess` [m] and its criterion, without solving for the others.
+    """The least :func:`first_excess` of all criteria [m] and its criterion, without solving for the others.
 
-    Limits by the names of the criteria. None where none is reached.
+    Limits by name of the criterion. None if no limit is reached.
     """
     return _allowed(drive, cup_torque, tuple(limits[name] for name in NAMES), largest)
 
 
-@lru_cache(maxsize=16)  # a fleet's bags, a robot's records, are of few drives; each takes most of a second
+@lru_cache(maxsize=16)  # bags of a fleet and records of a robot have few drives; each takes nearly a second
 def _allowed(
     drive: Drive, cup_torque: float, limits: tuple[float, ...], largest: float
 ) -> tuple[float, str] | None:
@@ -174,9 +175,9 @@ def _allowed(
     return least
 
 
-@lru_cache(maxsize=4)  # the criteria of a torque are asked for one after the other
+@lru_cache(maxsize=4)  # callers ask for the criteria of one torque in turn
 def _scanned(drive: Drive, cup_torque: float, largest: float, leaning: float = 0.0) -> tuple[Floats, Floats]:
-    """Displacements (STEPS + 1,) [m] and the worst of all criteria at each (6, STEPS + 1)."""
+    """Displacements (STEPS + 1,) [m] and the worst value of every criterion at each (6, STEPS + 1)."""
     search, sizes = _Search(drive, cup_torque, NAMES[0], leaning), np.linspace(0.0, largest, STEPS + 1)
     return sizes, np.stack([search.scan(size) for size in sizes], axis=1)
 
@@ -184,8 +185,8 @@ def _scanned(drive: Drive, cup_torque: float, largest: float, leaning: float = 0
 def across_long_axis(drive: Drive, largest: float) -> tuple[float, float]:
     """The paper's arrangement: eccentricity across the long axis, on which tooth 0 is held.
 
-    Gives the eccentricity up to `largest` at which the first tooth of that lobe interferes, nan if none does,
-    and the least backlash without eccentricity [m]. The drive's own eccentricity and runout do not count.
+    Returns the eccentricity up to `largest` at which the first tooth of that lobe interferes (nan if none),
+    and the least backlash without eccentricity [m]. The drive's own eccentricity and runout are ignored.
     """
 
     def overlap(e: float) -> float:
@@ -204,10 +205,10 @@ def _crossing(
     solved: Callable[[float, float], float],
     parts: int = 1,
 ) -> float:
-    """Where an excess first occurs, searched in parts of a step; nan if it does not.
+    """Size at which an excess first occurs, searched in parts of a step; nan if it does not occur.
 
-    Between a size without it and one with it, it is `solved`. The steps that a scan found ``above`` are
-    nearly those of the excess: it may come one earlier, or later.
+    `solved` finds it between a size without an excess and one with it. A coarse scan gives the steps
+    ``above`` the limit; the excess may begin at an earlier or later step.
     """
     first = int(np.argmax(above)) if above.any() else steps.size - 1
     while first > 0 and excess(steps[first - 1]) > 0.0:
@@ -226,10 +227,10 @@ def _crossing(
 def frontier(
     drive: Drive, cup_torque: float, limits: Mapping[str, float], largest: float, leaning: float
 ) -> dict[str, tuple[float, float]]:
-    """Smallest eccentricity [m] and tilt [rad] that exceed each of some criteria, on a coarse grid.
+    """Smallest eccentricity [m] and tilt [rad] that exceed each given limit, on a coarse grid for a chart.
 
-    As :func:`first_excess` for limits by the names of criteria, but straight between :data:`CHART_STEPS`
-    displacements: for a chart. nan where a limit is not reached.
+    Limits by name of the criterion. As :func:`first_excess`, but linear between :data:`CHART_STEPS`
+    displacements. nan where a limit is not reached.
     """
     search = _Search(drive, cup_torque, NAMES[0], leaning)
     sizes = np.linspace(0.0, largest, CHART_STEPS + 1)
@@ -239,7 +240,7 @@ def frontier(
 
 
 def _straight(sizes: Floats, excess: Floats) -> float:
-    """Where an excess at rising sizes first occurs, linear between them; nan if it does not."""
+    """Size at which an excess first occurs, linear between rising sizes; nan if it does not occur."""
     first = int(np.argmax(excess > 0.0))
     if not excess[first] > 0.0:
         return math.nan
@@ -251,7 +252,7 @@ def _straight(sizes: Floats, excess: Floats) -> float:
 
 
 class _Search:
-    """One criterion of one drive at one torque; the tilt has a share of a displacement."""
+    """Search for one criterion of a drive at one torque; `leaning` is the tilt's share of a displacement."""
 
     def __init__(self, drive: Drive, cup_torque: float, criterion: str, leaning: float = 0.0) -> None:
         self.drive = drive = replace(drive, mesh=replace(drive.mesh, tilt=0.0))
@@ -263,14 +264,14 @@ class _Search:
         self.reference = reference_stiffness(drive, self.torque)
 
     def scan(self, size: float) -> Floats:
-        """Worst of all criteria over a coarse grid (6,); of the last, that of a turn, nearly the worst."""
+        """Worst value of every criterion over a coarse grid (6,); the last, of a turn, is approximate."""
         around = 2.0 * math.pi * (np.arange(_SCAN[0]) + 0.37) / _SCAN[0]  # meets several tooth phases
         beta = self._torsion(self._displaced(size, 0.0), around[:, None])
         width = np.ptp(np.where(np.isnan(beta), np.inf, beta))
         return np.append(self.scan_moments(size), width)
 
     def scan_moments(self, size: float) -> Floats:
-        """Worst of the criteria of a moment over a coarse grid (5,)."""
+        """Worst value of every criterion of a moment over a coarse grid (5,)."""
         return np.asarray(self._moments(size, _grid(*_SCAN)).max(axis=1))
 
     def exceeded(self, limit: float, scanned: Floats) -> float:
@@ -285,9 +286,9 @@ class _Search:
         return _crossing(excess, scanned[0], scanned[1] > limit, solved, FINE_STEPS if self.jumps else 1)
 
     def _solved(self, excess: Callable[[float], float], limit: float, low: float, high: float) -> float:
-        """Where the limit is crossed between a displacement within it and one beyond, over all directions.
+        """Displacement at which the limit is crossed in any direction, between one within it and one beyond.
 
-        It follows the place of the worst beyond, at a tenth of the cost, until no other place is worse.
+        The search follows the place of the worst at `high`, at a tenth of the cost, until no other is worse.
         """
         while high - low > ROOT_TOLERANCE:
             beside = partial(self._excess_beside, self.worst(high), limit)
@@ -301,7 +302,7 @@ class _Search:
         return high
 
     def _excess_beside(self, worst: Worst, limit: float, size: float) -> float:
-        """By how much the worst near the place of another displacement's worst exceeds the limit."""
+        """Excess over the limit at a size, searched near the place of the worst at another size."""
         if NAMES[self.index] == "transmission_error":
             return min(self._width(size, worst.direction).value, _MOST) - limit
         turn = worst.wave_generator_angle
@@ -309,7 +310,7 @@ class _Search:
         return min(self._climbed(size, place)[1], _MOST) - limit
 
     def worst(self, size: float) -> Worst:
-        """Worst over all directions and angles."""
+        """Worst over all directions and angles at a size; cached."""
         if size not in self._known:
             self._known[size] = self._worst(size)
         return self._known[size]
@@ -327,7 +328,7 @@ class _Search:
         return Worst(most, (float(best[0]) + turn) % (2.0 * math.pi), turn)
 
     def _climbed(self, size: float, places: Floats) -> tuple[Floats, float]:
-        """Place (2,) of the greatest value near some places (m, 2), and the value."""
+        """Place (2,) of the greatest value near given places (m, 2), and the value."""
         step = np.array([2.0 * math.pi, 1.0]) / self.grid
         return _climbed(partial(self._value, size), places, step)
 
@@ -350,7 +351,7 @@ class _Search:
         return of_moments(found, self.drive.cup_compliance, self.reference)[:, :, 0]
 
     def _width(self, size: float, direction: float) -> Worst:
-        """Peak to peak of a turn at one direction of the displacement, and where the greatest torsion is."""
+        """Peak-to-peak torsion of a turn at one direction of the displacement, and place of its maximum."""
         mesh = self._displaced(size, direction)
         count = _TURN_PHASES * mesh.geometry.circular_spline_teeth
         step = 2.0 * math.pi / count
@@ -384,10 +385,10 @@ def _hills(values: Floats) -> Integers:
 
 
 def _climbed(function: Callable[[Floats], Floats], centers: Floats, step: Floats) -> tuple[Floats, float]:
-    """Place (d,) of the greatest value near some places (m, d), and the value, by grids that narrow.
+    """Place (d,) of the greatest value near given places (m, d), and the value, by grids that narrow.
 
-    The function takes points (n, d) and gives values (n,); the first grids have so many steps (d,). Among
-    images of one place, the one with the least angle (the first coordinate) within a turn is taken.
+    The function takes points (n, d) and gives values (n,); `step` (d,) is half the width of the first grids.
+    Among images of one place, the one with the least angle (the first coordinate) within a turn is taken.
     """
     dimensions = centers.shape[1]
     side = np.linspace(-1.0, 1.0, 2 * _BESIDE + 1)
@@ -405,6 +406,6 @@ def _climbed(function: Callable[[Floats], Floats], centers: Floats, step: Floats
 
 
 def _first(values: Floats) -> int:
-    """Number of the first of the values that are as great as the greatest, except for :data:`_IMAGE`."""
+    """Index of the first value that equals the greatest within a share :data:`_IMAGE`."""
     highest = values.max()
     return int(np.argmax(values >= highest - _IMAGE * abs(highest)))

@@ -37,7 +37,7 @@ class Indices:
 
 
 def evaluations(samples: int, factors: int) -> int:
-    """How many times a model is evaluated."""
+    """Number of evaluations of a model."""
     return samples * (factors + 2)
 
 
@@ -49,9 +49,9 @@ def indices(
     The model takes numbers (n, factors) and gives outputs (n, outputs); samples are a power of two.
 
     Saltelli et al., "Variance based sensitivity analysis of model output", Computer Physics Communications
-    181, 2010, in scipy.stats.sobol_indices; intervals are percentiles over samples drawn again.
+    181, 2010, in scipy.stats.sobol_indices; intervals are percentiles over bootstrap resamples.
     """
-    from scipy.stats import qmc  # late: it takes half a second
+    from scipy.stats import qmc  # imported here: it takes half a second
 
     generator = "rng" if "rng" in inspect.signature(qmc.Sobol).parameters else "seed"  # by version of scipy
     points = qmc.Sobol(2 * factors, **{generator: rng}).random(samples)

@@ -1,4 +1,4 @@
-"""A whole study of one joint: limits on the eccentricity, what assemblies yield, which tolerance matters."""
+"""A whole study of one joint: limits on the eccentricity, yield of assemblies, which tolerance matters."""
 
 from __future__ import annotations
 
@@ -25,26 +25,26 @@ from hd_diag.tolerance.sensitivity import Indices
 CHARTED = ("interference", "overlap", "peak_tooth_load")
 """Criteria in the chart of eccentricity against tilt: interference and load."""
 
-# Is given a part of the work and its number of steps; gives what is called after each step.
+# Takes a part of the work and its number of steps; returns a function to call after each step.
 Progress = Callable[[str, int], Callable[[], None]]
 
-_TOLERANCES = 13  # of a yield curve, from zero to twice the configured one, the middle one
-_RAYS = 25  # of a chart, from a tilt against the eccentricity to one along it
+_TOLERANCES = 13  # of a yield curve, from zero to twice the configured one, which is in the middle
+_RAYS = 25  # rays of a chart, from a tilt against the eccentricity to one along it
 _ALL_TEETH = 0.0  # [m]; beyond this overlap no rotation frees all teeth
 
 
 def limits_and_spreads(flat: Mapping[str, Value], joint: str) -> tuple[dict[str, float], dict[str, Spread]]:
-    """Limits by the names of the criteria, spreads by those of the quantities, of a configured joint."""
+    """Limits by name of the criterion, and spreads by name of the quantity, of a configured joint."""
     own = nested(of_joint(flat, joint))["tolerance"]
     limits = own.pop("limits")
     return limits, {name: Spread(**each) for name, each in own.items()}
 
 
 def with_allowed(found: Diagnosis, flat: Mapping[str, Value], joint: str) -> Diagnosis:
-    """The diagnosis with what the configured drive may have, as ``hd-diag tolerance`` says it.
+    """The diagnosis with the allowed eccentricity of the configured drive, as ``hd-diag tolerance`` gives it.
 
-    At the rated torque, within the joint's limits among parameters by their full names. Unchanged if no
-    eccentricity is known, no limit is reached, or the teeth cannot bear the torque.
+    It holds at the rated torque, for the joint's limits in `flat`, the parameters by full names. Nothing
+    changes if no eccentricity is known, no limit is reached, or the teeth cannot bear the torque.
     """
     if not Answer(found).eccentricity > 0.0:
         return found
@@ -60,14 +60,14 @@ def with_allowed(found: Diagnosis, flat: Mapping[str, Value], joint: str) -> Dia
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked of a drive.
+    """Input of a study of a drive.
 
-    Torques on the link (q,) [N m]; limits by the names of the criteria, in their units; spreads by the names
-    of the quantities; the greatest eccentricity to look at [m]; numbers of assemblies and, a power of two, of
-    samples of the sensitivity (0: none) with the seed of both; the share of assemblies that shall be within
-    all limits.
+    Torques on the link (q,) [N m]; limits by name of the criterion, in its unit; spreads by name of the
+    quantity; the greatest eccentricity to search [m]; number of assemblies; number of samples of the
+    sensitivity, a power of two (0 for either: none); seed of both; the share of assemblies that shall be
+    within all limits.
 
-    Raises ValueError naming what cannot be.
+    Raises ValueError naming the impossible value.
     """
 
     drive: Drive
@@ -92,11 +92,11 @@ class Question:
 
 @dataclass(frozen=True)
 class Interference:
-    """Smallest eccentricity with interfering teeth [m], nan if there is none; three readings.
+    """Smallest eccentricity with interfering teeth [m], by three definitions; nan if there is none.
 
     `across`: the paper's own arrangement (:func:`limit.across_long_axis`), whose least backlash without
     eccentricity is `clearance` [m]. `any_direction`: the same lobe, over all directions and angles.
-    `all_teeth`: no rotation of the cup frees all teeth, the interference flag of a mesh.
+    `all_teeth`: no rotation of the cup frees all teeth, which is the interference flag of a mesh.
     """
 
     across: float
@@ -107,11 +107,11 @@ class Interference:
 
 @dataclass(frozen=True)
 class Yield:
-    """What assemblies come out like.
+    """Yield of assemblies.
 
-    Eccentricity `tolerances` (t,) that 99.73 % of the assemblies keep within, and the `configured` one [m];
-    shares within all limits `together` and within `each`, in the order of `CRITERIA`; the largest tolerance
-    `at_target` [m], nan if there is none.
+    Eccentricity `tolerances` (t,), which 99.73 % of the assemblies do not exceed, and the `configured` one
+    [m]; shares within all limits `together` and within `each`, in the order of `CRITERIA`; the largest
+    tolerance with the target share, `at_target` [m], nan if there is none.
     """
 
     tolerances: Floats
@@ -123,10 +123,10 @@ class Yield:
 
 @dataclass(frozen=True)
 class Tilts:
-    """What tilts a drive in sections may have; `limits` as those of a study, of a tilt alone.
+    """Tilts that a drive in sections may have; `limits` as in a study, for a tilt alone.
 
-    `chart`, by the names of :data:`CHARTED`: eccentricity [m] and tilt [rad], negative against it, at which a
-    limit is first exceeded at the first torque, (2, rays); nan where it is not.
+    `chart`, by the names of :data:`CHARTED`, (2, rays): eccentricity [m] and tilt [rad] (negative: against
+    the eccentricity) at which a limit is first exceeded at the first torque; nan where it is not exceeded.
     """
 
     largest: float
@@ -141,7 +141,7 @@ class Tilts:
 
 @dataclass(frozen=True)
 class Study:
-    """Answers to a question; `limits` by torque, in the order of `CRITERIA`; `tilts` where it may lean."""
+    """Answers to a question; `limits` by torque, in the order of `CRITERIA`; `tilts` if it has sections."""
 
     question: Question
     interference: Interference
@@ -158,7 +158,7 @@ class Study:
 
 def _least(limits: list[list[DisplacementLimit]]) -> DisplacementLimit | None:
     reached = [each for row in limits for each in row if each.reached]
-    # Of both one is zero in all of them.
+    # Each list varies either eccentricity or tilt, and the other is zero: the sum is the one that varies.
     return min(reached, key=lambda each: each.eccentricity + each.tilt, default=None)
 
 
@@ -169,7 +169,7 @@ def study(question: Question, pool: ProcessPool, progress: Progress) -> Study:
     """
     warm_up()  # here first: other processes then read the kernels from the disk
     population = Population(question.drive, question.spreads, question.cup_torque)
-    # Without a configured eccentricity the yield curve goes as far as limits are looked for.
+    # Without a configured eccentricity the yield curve covers the search range of the limits.
     tolerances = np.linspace(0.0, 2.0 * population.tolerance or question.largest, _TOLERANCES)
     if question.samples or question.sensitivity_samples:
         assembly.check(population, float(tolerances[-1]))
@@ -214,7 +214,7 @@ def _excesses(
     leaning: float,
     free: Sequence[tuple[float, str, float]] = (),
 ) -> tuple[list[DisplacementLimit], list[list[DisplacementLimit]]]:
-    """The first excess of each `free` torque, criterion and limit, then of the question's, by torque."""
+    """First excess for each `free` torque, criterion and limit, then for those of the question by torque."""
     limits = [(torque, name, question.limits[name]) for torque in question.cup_torque for name in NAMES]
     tasks = [(question.drive, *one, question.largest, leaning) for one in (*free, *limits)]
     found = pool.map(_first_excess, tasks, progress(part, len(tasks)))
@@ -244,7 +244,7 @@ def _frontier(task: tuple[Drive, float, dict[str, float], float, float]) -> dict
 
 
 def document(joint: str, found: Study) -> dict[str, Any]:
-    """What `hd-diag tolerance --json` writes; SI units, null where a limit is not reached."""
+    """Content that `hd-diag tolerance --json` writes; SI units, null where a limit is not reached."""
     question, first, allowed = found.question, found.interference, found.allowed
     drawn, indices, tilts = found.assemblies, found.sensitivity, found.tilts
 
@@ -336,7 +336,7 @@ def document(joint: str, found: Study) -> dict[str, Any]:
 
 
 def yielded(question: Question, drawn: Yield) -> str:
-    """What assemblies yield, in one sentence: so few may be drawn that it is not known."""
+    """Yield of assemblies in one sentence; too few assemblies may leave it unknown."""
     share, t = f"{100 * question.target:g} % of the assemblies are", drawn.together
     if math.isfinite(drawn.at_target):
         place = f"{share} within all limits up to a tolerance of {drawn.at_target * 1e6:.2f} µm"

@@ -1,12 +1,12 @@
 """The mechanics as scalar code that numba compiles, from a tooth's pose to the torsion of the whole mesh.
 
-In the order in which a moment is solved: ``mesh_data`` numbers of a mesh · ``poses`` of the teeth near both
-lobes · ``contact`` of a flank with the slot's wall, in closed form · ``load_sharing`` one torsion for all
-teeth · ``sensitivity`` derivatives of the torsion · ``interpolation`` in a torsion map · ``entry`` what
-Python calls, for many moments at once. What is a ``formula`` also runs on arrays as it stands.
+Modules, in the order in which a moment is solved: ``mesh_data`` numbers of a mesh · ``poses`` of teeth near
+both lobes · ``contact`` of a flank with the slot's wall, in closed form · ``load_sharing`` one torsion for
+all teeth · ``sensitivity`` derivatives of the torsion · ``interpolation`` in a torsion map · ``entry`` what
+Python calls, for many moments at once. A ``formula`` also runs on arrays unchanged.
 
-numba is imported with ``entry``, when something is first computed: 0.3 s. The machine code is kept on disk,
-for compiling it takes half a minute.
+``entry`` imports numba, which takes 0.3 s, at the first computation. The machine code is cached on disk,
+because compiling takes half a minute.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """First contact of flanks that are chains of any number of arcs and lines, by the closed forms of `contact`.
 
-Radii are signed as those of a `Piece`: positive where tooth, or slot, bulges. Centres then stand ``w - a``
-apart where the tooth's arc of radius a touches the wall's of radius w, whichever of them is hollow. They can
-touch where the tooth is the more curved: ``1 / a > 1 / w``; a line has the curvature zero.
+Radii are signed as in a `Piece`: positive where the tooth or slot bulges. With these signs the centres are
+``w - a`` apart when the tooth's arc of radius a touches the wall's arc of radius w, whichever is hollow. Two
+pieces can touch only if the tooth's is more curved, ``1 / a > 1 / w``; a line has curvature zero.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from hd_diag.model.kernel.mesh_data import Arc, CommonTangent, Constants
 
 @formula
 def _tangency(row: Floats, height: float, offset: float, wall: Floats) -> Touch:
-    """Where a piece of the tooth at its place touches a piece of the wall, if they went on without end."""
+    """Contact of a piece of the tooth with a piece of the wall, both extended without end."""
     radius, own = row[0], wall[0]
     moved_x, moved_y = row[1] + height, row[2] + offset
     if radius == 0.0:
@@ -46,7 +46,7 @@ def _tangency(row: Floats, height: float, offset: float, wall: Floats) -> Touch:
 
 @formula
 def _may_touch(radius: float, wall: float) -> bool:
-    """Whether a piece of the tooth is more curved than one of the wall; signed radii, 0 of lines."""
+    """Whether a piece of the tooth is more curved than one of the wall; signed radii, 0 for lines."""
     curvature = 1.0 / radius if radius != 0.0 else 0.0
     return curvature > (1.0 / wall if wall != 0.0 else 0.0)
 
@@ -93,13 +93,13 @@ def _slot_tip(c: Constants, row: Floats, height: float, offset: float) -> Touch:
 
 @formula
 def _corner(best: Touch, new: Touch, here: bool) -> Touch:
-    """The corner's contact if it lies on the piece and closes first."""
+    """`new`, a corner's contact, if it lies on the piece and closes first; else `best`."""
     return choose(here & (new.sine < best.sine), new, best)
 
 
 @formula
 def _reach(wall: Floats, j: int) -> tuple[float, float]:
-    """Distances from the axis between which a piece of the wall is met; the outermost go on [m]."""
+    """Range of distances from the axis for piece j of the wall; end pieces extend without end [m]."""
     within = math.sqrt(wall[j, 3] * wall[j, 3] + wall[j, 4] * wall[j, 4])
     beyond = math.sqrt(wall[j, 5] * wall[j, 5] + wall[j, 6] * wall[j, 6])
     return within if j > 0 else 0.0, beyond if j < wall.shape[0] - 1 else math.inf
@@ -136,7 +136,7 @@ def close_chain(c: Constants, height: float, offset: float) -> Touch:
 
 @formula
 def first_contact(c: Constants, height: float, offset: float) -> Touch:
-    """First contact of one flank, whatever both are; nan if the tooth does not reach the slots."""
+    """First contact of one flank, chain or double arc; nan if the tooth does not reach the slots."""
     if c.tooth_chain.shape[0]:
         return close_chain(c, height, offset)
     return close(c, height, offset)

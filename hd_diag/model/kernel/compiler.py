@@ -1,4 +1,4 @@
-"""How kernels are compiled: entry points are kept on disk, parts become part of the entry points."""
+"""Compilation of kernels: entry points are cached on disk, parts are compiled into the entry points."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from hd_diag.model.kernel import formula
 
 
 def _name_apart() -> None:
-    """Count functions from a place of this process alone: numba names their machine code by that number.
+    """Start numba's count of functions at a random number, because it names their machine code by the count.
 
-    From 1 on, as by itself, numba gives what two processes compile and keep the same names: of an argsort and
-    a sort (closures of one name and type) whichever was loaded first then ran for both.
+    By default the count starts at 1, so code that two processes compile and cache gets the same names. For an
+    argsort and a sort (closures of one name and type) the code that was loaded first then ran for both.
     """
     identity: Any = FunctionIdentity
     identity._unique_ids = itertools.count(secrets.randbits(48))
@@ -35,9 +35,9 @@ os.register_at_fork(after_in_child=_name_apart)
 
 
 def _import_arrays() -> None:
-    """Have numba's array functions without scipy.linalg, which takes 17 MB and a third of the start.
+    """Import numba's array functions without scipy.linalg, which takes 17 MB and a third of the start.
 
-    numba looks there for a BLAS, which no kernel uses. Others still get it where they ask for one.
+    numba looks there for a BLAS, which no kernel uses. Other modules can still import scipy.linalg.
     """
     modules: dict[str, Any] = sys.modules
     found = modules.setdefault("scipy.linalg", None)
@@ -52,12 +52,12 @@ _import_arrays()
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
-# Of all kernels: numba's cache looks at the entry point's own file only and misses changes in the others.
+# Covers all kernels: numba's cache checks only the entry point's own file and misses changes in the others.
 _CHECKSUM = zlib.crc32(b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py"))))
 
 
 def entry_point(function: Kernel) -> Kernel:
-    """Compile when first called; keep the machine code on disk if any cache folder can be written."""
+    """Compile at the first call; cache the machine code on disk if any cache folder can be written."""
     function.__qualname__ = f"{function.__name__}_{_CHECKSUM:08x}"  # the file on disk is named after it
     try:
         return cast(Kernel, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
@@ -66,14 +66,14 @@ def entry_point(function: Kernel) -> Kernel:
 
 
 def is_kept(function: Any) -> bool:
-    """Whether an entry point's machine code is on the disk, or cannot be."""
+    """Whether an entry point's machine code is cached on disk; also True if it cannot be cached."""
     folder, python = function.stats.cache_path, f"py{sys.version_info.major}{sys.version_info.minor}"
     name = f"*.{function.py_func.__qualname__}-*.{python}*.nbi"
     return folder is None or any(Path(folder).glob(name))
 
 
 def part(function: Kernel) -> Kernel:
-    """Compile as part of entry points, which keep the machine code."""
+    """Compile as part of entry points, whose machine code is cached."""
     return cast(Kernel, numba.njit(nogil=True, error_model="numpy")(function))
 
 
@@ -81,7 +81,7 @@ _INLINE: Any = {"nogil": True, "error_model": "numpy", "forceinline": True}
 
 
 def inline(function: Kernel) -> Kernel:
-    """Compile as part of a loop over flanks, which the compiler can vectorise only if it sees it whole."""
+    """Compile inline into a loop over flanks: the compiler can vectorise only a loop that it sees whole."""
     return cast(Kernel, numba.njit(**_INLINE)(function))
 
 

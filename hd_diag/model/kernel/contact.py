@@ -6,14 +6,14 @@ primitive about the circular spline's axis until it touches another has a closed
 - Two arcs touch when their centres are d apart: the difference of the radii for hollow on convex, their sum
   for convex on convex. With the centres p and q from the axis, the angle between them is then ``2 arcsin
   sqrt((d - p + q) (d + p - q) / (4 p q))``.
-- An arc of radius a touches the line ``n . x = c`` where its centre, p from the axis, stands
+- An arc of radius a touches the line ``n . x = c`` when its centre, at distance p from the axis, is
   ``arccos((c - a) / p)`` behind the normal's direction.
 - A tip corner is an arc of radius zero.
 
-As functions of the radius, wall angle less flank angle is the gap; each tangency is a stationary point of
-that gap and each corner an end of its range, so the least of them is the rotation that closes the flank.
-Angles stay sines and cosines and choices are selections, so that the compiler works on several flanks at
-once. A - flank is the + flank of the mirrored tooth.
+The gap is the wall angle less the flank angle, as a function of the radius. Each tangency is a stationary
+point of the gap and each corner an end of its range, so the least of them is the rotation that closes the
+flank. Angles stay sines and cosines, and selections replace branches, so that the compiler can process
+several flanks at once. A - flank is the + flank of the mirrored tooth.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from hd_diag.model.kernel.mesh_data import Arc, CommonTangent, Constants
 
 
 class Point(NamedTuple):
-    """Point of the tooth about the axis, tooth axis at angle zero: place, radius, 1 / radius."""
+    """Point of the tooth from the axis, with the tooth axis at angle zero: place, radius, 1 / radius."""
 
     x: float
     y: float
@@ -37,10 +37,11 @@ class Point(NamedTuple):
 
 
 class Touch(NamedTuple):
-    """A possible contact, flank closed, slot frame; of several flanks at once where the numbers are arrays.
+    """A possible contact with the flank closed, in the slot frame; arrays stand for several flanks at once.
 
-    Sine of the tooth axis' angle; contact, normal; derivatives of half the squared lever arm by the tooth's
-    height, its offset and the datum radius [m]; derivative of the angle by the latter, times the arm [-].
+    Sine of the tooth axis' angle; contact point; normal; derivatives of half the squared lever arm by the
+    tooth's height, by its offset and by the datum radius [m]; derivative of the angle by the datum radius,
+    times the lever arm [-].
     """
 
     sine: Any
@@ -62,7 +63,7 @@ def _point(x: float, y: float) -> Point:
 
 @formula
 def _lens(p: float, inverse: float, q: float, distance: float, side: float) -> tuple[float, float]:
-    """Cosine and (signed) sine of the angle between points at radii p and q that are so far apart."""
+    """Cosine and (signed) sine of the angle between points at radii p and q that are `distance` apart."""
     half = (distance - p + q) * (distance + p - q) * inverse * (0.25 / q)
     return 1.0 - 2.0 * half, 2.0 * side * np.sqrt(half * (1.0 - half))
 
@@ -148,7 +149,7 @@ def _slot_tip(
     lens_cos, lens_sin = _lens(p, inverse, c.wall_tip, radius, side)
     unit, line = 1.0 / c.wall_tip, c.tooth_line
     curved = inner | outer
-    # Place of that radius on the flank, tooth axis at angle zero: unit vector.
+    # Unit vector to the flank's point at the wall tip's radius, tooth axis at angle zero.
     lever = np.sqrt(c.wall_tip * c.wall_tip - distance * distance)
     on_line_x = unit * (line.normal_x * distance + line.normal_y * lever)
     on_line_y = unit * (line.normal_y * distance - line.normal_x * lever)
@@ -177,7 +178,7 @@ def _slot_tip(
 
 @formula
 def _nearer(best: Touch, new: Touch, low: float, high: float) -> Touch:
-    """The new contact if it closes first and lies between these radii [m], its normal the right way."""
+    """`new` if it closes first, lies between the radii [m] and has the right normal; else `best`."""
     square = new.x * new.x + new.y * new.y
     valid = (square >= low * low) & (square <= high * high) & (new.x * new.normal_y > new.y * new.normal_x)
     return choose(valid & (new.sine < best.sine), new, best)

@@ -1,6 +1,6 @@
 """Entry points: what Python calls, for many moments at once.
 
-Those that threads may share work on the rows from ``first`` to before ``last`` and fill them in their result.
+Entry points that threads may share fill the rows from ``first`` to before ``last`` of their result.
 Arrays have one value per moment: wave generator angle [rad], displacement of its centre in the housing [m],
 torque on the cup [N m].
 """
@@ -53,7 +53,7 @@ def torsion(
 
 @entry_point
 def torsion_table(mesh: MeshData, turn: Floats, eccentricity: Complexes, torque: Floats) -> Floats:
-    """Torsions (n, q) at rising torques (q,), the same at every moment."""
+    """Torsions (n, q) at rising torques (q,), which are the same at every moment."""
     work, beta = scratch(mesh), np.empty((turn.size, torque.size))
     for i in range(turn.size):
         balance_all(flanks(mesh, turn[i], eccentricity[i], work), torque, beta[i])
@@ -62,7 +62,7 @@ def torsion_table(mesh: MeshData, turn: Floats, eccentricity: Complexes, torque:
 
 @entry_point
 def torsion_of_flanks(rotation: Floats, stiffness: Floats, torque: Floats) -> Floats:
-    """The same (n, q) for flanks with given closing rotations and stiffness (n, 2, flanks)."""
+    """Torsions (n, q) of flanks with given closing rotations and stiffness (n, 2, flanks)."""
     plus, minus = side_room(rotation.shape[2]), side_room(rotation.shape[2])
     beta = np.empty((rotation.shape[0], torque.size))
     for i in range(beta.shape[0]):
@@ -73,7 +73,7 @@ def torsion_of_flanks(rotation: Floats, stiffness: Floats, torque: Floats) -> Fl
 
 @entry_point
 def touches(c: Constants, height: Floats, offset: Floats) -> Floats:
-    """First contacts (9, n), as of a `Touch`, of + flanks of teeth at heights and offsets (n,) [m]."""
+    """First contacts (9, n), rows as in `Touch`, of + flanks of teeth at heights and offsets (n,) [m]."""
     found = np.empty((9, height.size))
     for i in range(height.size):
         touch = first_contact(c, height[i], offset[i])
@@ -96,12 +96,12 @@ def curves(mesh: MeshData, turn: Floats, eccentricity: Complexes, limit: float) 
 def torsion_and_gradient(
     mesh: MeshData, turn: Floats, eccentricity: Complexes, torque: Floats
 ) -> tuple[Floats, Floats]:
-    """Torsion (n,); its derivatives by E_x, E_y, r_0, with sections tilt's x and y, by M (n, 4 or 6)."""
+    """Torsion (n,); derivatives (n, 4 or 6) by E_x, E_y, r_0, with sections the tilt's x and y, by M."""
     work, n = scratch(mesh), turn.size
     count = parameters(mesh)
     beta, gradient = np.empty(n), np.empty((n, count + 1))
     for i in range(n):
-        # Contacts do not depend on the torque: at many of them they are solved once.
+        # Contacts do not depend on the torque: solve them once for moments that differ only in torque.
         if i == 0 or turn[i] != turn[i - 1] or eccentricity[i] != eccentricity[i - 1]:
             found = flanks(mesh, turn[i], eccentricity[i], work)
         beta[i] = balance(found, torque[i])
@@ -121,14 +121,15 @@ def pieces_along(
     low: float,
     high: float,
 ) -> tuple[Integers, Floats, Floats]:
-    """Pieces of the torsion between two torques at every angle that :func:`torsion_along` has samples of.
+    """Pieces of the torsion between two torques, at every angle where :func:`torsion_along` has samples.
 
     Returns
     -------
     first : ndarray of int64, shape (angles + 1,)
-        Number of every angle's first piece: none where it has no samples, or the teeth cannot bear them.
+        Index of every angle's first piece. An angle without samples, or whose teeth cannot bear the torques,
+        has no pieces.
     torque, sums : ndarray, shape (pieces,) and (pieces, 8 or 12)
-        Where each begins, and the sums over its flanks.
+        Torque where each piece begins, and the sums over its flanks.
     """
     work, room, nodes = scratch(mesh), pieces_room(mesh), turn.size
     first, total = np.zeros(nodes + 1, np.int64), 0
@@ -166,13 +167,13 @@ def torsion_along(
     sums: Floats,
     torque: Floats,
 ) -> Floats:
-    """As of `torsion_and_gradient`, torsion last (n, 5 or 7), at places between angles.
+    """Derivatives as of `torsion_and_gradient`, then the torsion (n, 5 or 7), at places between angles.
 
-    Angles are all steps of one solved tooth after the other, with pieces from :func:`pieces_along`; samples
-    those of one cell after the other: from `begin` on, with so much of a step as `share`. Each is a whole
-    number of teeth away, in the direction `turned`: there what of the displacement is `fixed` in the housing,
-    and the `tilt`, lie elsewhere in the wave generator's frame. It follows by the gradient of its solved
-    tooth, or where this `blends`, from that and the next, so much of the way `across`.
+    `turn` holds all steps of each solved tooth in turn, with pieces from :func:`pieces_along`. Samples are
+    sorted by cell: `begin` is a cell's first sample, `share` a sample's place within its step. A sample is a
+    whole number of teeth from its solved tooth, in the direction `turned`. There the displacement `fixed` in
+    the housing and the `tilt` have other components in the wave generator's frame. The gradient of the solved
+    tooth corrects for this. With `blends`, results of that tooth and the next are mixed by `across`.
     """
     count, nodes = (sums.shape[1] - 2) // 2, turn.size
     result, here = np.zeros((torque.size, count + 2)), np.empty(count + 2)
@@ -187,7 +188,7 @@ def torsion_along(
             for i in range(start, end):
                 weight = share[i] if corner % 2 else 1.0 - share[i]
                 away = turned[i].conjugate() - there
-                # Half the gradients' difference along the way is what it bends: exact for a parabola.
+                # Half the gradients' difference along the way corrects for curvature: exact for a parabola.
                 if corner < 2:
                     weight *= 1.0 - across[i]
                     away -= 0.5 * across[i] * after
@@ -239,7 +240,7 @@ def mesh_state(
 
 
 def warm_up(gradient: bool) -> None:
-    """Compile now, or read from the disk, what predictions and maps need; with `gradient` also fits."""
+    """Compile the kernels of predictions and maps, or load them from disk; with `gradient` also of fits."""
     mesh, row, rows, flat = blank(), np.empty(0), np.zeros((2, 2)), np.zeros((0, 2, 0))
     center = row.astype(np.complex128)
     torsion(mesh, row, center, row, row, 0, 0)

@@ -1,4 +1,4 @@
-"""Formulas: plain functions of numbers, or of arrays of them, which compiled kernels take in as their own."""
+"""Formulas: plain functions of numbers or arrays that are also compiled into kernels."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ Result = TypeVar("Result")
 Value = TypeVar("Value")
 
 FORMULAS: list[Callable[..., Any]] = []
-"""In the order in which they are written."""
+"""All formulas in the order of their definition."""
 
 
 def formula(function: Callable[..., Result]) -> Callable[..., Result]:
-    """Make a function part of compiled kernels, unchanged; its choices use `choose`."""
+    """Register a function for compiled kernels and return it unchanged; it must branch by `choose`."""
     FORMULAS.append(function)
     return function
 
 
 def choose(condition: bool, yes: Value, no: Value) -> Value:
-    """``yes if condition else no``, of arrays element by element, of named tuples field by field."""
+    """``yes if condition else no``, for arrays element by element, for named tuples field by field."""
     make: Any = getattr(yes, "_make", None)
     if make is None:
         return cast(Value, np.where(condition, cast(Any, yes), cast(Any, no)))
@@ -31,11 +31,11 @@ def choose(condition: bool, yes: Value, no: Value) -> Value:
 
 @formula
 def larger(a: float, b: float) -> float:
-    """The larger of two; the first where one is nan."""
+    """The larger of two; the first if either is nan."""
     return choose(b > a, b, a)
 
 
 @formula
 def smaller(a: float, b: float) -> float:
-    """The smaller of two; the first where one is nan."""
+    """The smaller of two; the first if either is nan."""
     return choose(b < a, b, a)

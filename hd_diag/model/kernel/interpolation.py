@@ -1,12 +1,12 @@
 """Interpolation in a torsion map.
 
-A map takes far more memory than a core has near it, so that samples anywhere in it wait for their rows. So
-an index, small enough to stay near, tells about where in a row a torque is; and the places of a whole block
-of samples are found and asked for before any is read.
+A map is far larger than a core's cache, so every sample has to wait for its rows. A small index, which stays
+in the cache, gives the approximate column of a torque. The places of a whole block of samples are located and
+prefetched before any is read.
 
-Tables hold whole steps. Of torque they are those of its root, `STEPS` up to the greatest one, for breakpoints
-stand close to each other near zero. Torsions are counted from a line: each row has its torsion at no
-torque [rad], its slope [rad/(N m)], and the step [rad].
+Tables hold whole steps. Torque steps are of the torque's root, `STEPS` up to the greatest torque, because
+breakpoints are close to each other near zero. Torsions are counted from a line: each row has the line's
+torsion at zero torque [rad], its slope [rad/(N m)], and the torsion step [rad].
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from hd_diag.model.kernel import STEPS
 from hd_diag.model.kernel.compiler import entry_point, inline, part
 
 BLOCK = 32
-"""Samples whose places are found at once."""
+"""Samples whose places are located at once."""
 
 _TURN = 2.0 * math.pi
 _BELOW_END = np.nextafter(float(STEPS**2), 0.0)  # [squared steps of torque]
 _LINE = 3  # numbers of a line
-_ROWS = 64  # from one row of the index to the next; breakpoints move by a few columns meanwhile
-_BINS = 256  # of torque in the index
-_READ, _KEEP, _DATA = 0, 3, 1  # as LLVM's prefetch has them: for reading, in all caches, not instructions
+_ROWS = 64  # rows of the table per row of the index; breakpoints move by a few columns over them
+_BINS = 256  # torque bins of the index
+_READ, _KEEP, _DATA = 0, 3, 1  # arguments of LLVM's prefetch: for reading, in all caches, not instructions
 
 
 def _fetch(typing: Any, rows: Any, row: Any, column: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        code: Any = cgutils  # without types
+        code: Any = cgutils  # has no type hints
         kind = signature.args[0]
         table = context.make_array(kind)(context, builder, arguments[0])
         address = code.get_item_pointer(context, builder, kind, table, arguments[1:])
@@ -52,7 +52,7 @@ def _fetch(typing: Any, rows: Any, row: Any, column: Any) -> Any:
 
 
 fetch: Any = intrinsic(_fetch)
-"""Have one place of a table (array, row, column) on its way to the core, without waiting for it."""
+"""Prefetch one place of a table (array, row, column) without waiting for it."""
 
 
 def _pointer(typing: Any, address: Any) -> Any:
@@ -63,13 +63,13 @@ def _pointer(typing: Any, address: Any) -> Any:
 
 
 _at: Any = intrinsic(_pointer)
-"""What lies at an address."""
+"""Pointer to an address."""
 
 _array: Any = numba.carray  # type: ignore[attr-defined]
 
 
 class Cells(NamedTuple):
-    """Places of a block's samples: row (-1: no answer), share of the way to the next, about which column."""
+    """Places of a block's samples: share of the way to the next row, row (-1: no answer), rough column."""
 
     share: Floats
     row: Integers
@@ -84,7 +84,7 @@ def cells() -> Cells:
 
 @entry_point
 def columns(breakpoints: Steps) -> Steps:
-    """The index that a table needs: about which column holds each bin of torque, for every so many rows."""
+    """Index of a table: approximate column of each torque bin, for every `_ROWS` rows."""
     rows, last = breakpoints.shape[0], breakpoints.shape[1] - 2
     found = np.empty((1 + (rows - 1) // _ROWS, _BINS), dtype=np.int16)
     step = 2.0 * STEPS**2 / _BINS
@@ -99,7 +99,7 @@ def columns(breakpoints: Steps) -> Steps:
 
 @inline
 def _squared(step: int) -> float:
-    """Torque as tables have it, with its sign."""
+    """Signed square of a torque step, which is proportional to the torque."""
     return float(step) * abs(step)
 
 
@@ -117,7 +117,7 @@ def locate(
     end: int,
     cells: Cells,
 ) -> None:
-    """Set the places of the samples from ``begin`` to before ``end``, and have what is there fetched."""
+    """Set the places of the samples from ``begin`` to before ``end``, and prefetch the table there."""
     period = breakpoints.shape[0] - 1
     steps = repeats * period
     scale, bins = steps / _TURN, 0.5 * _BINS / greatest
@@ -155,9 +155,9 @@ def read(
 ) -> None:
     """Set the torsions of the samples from ``begin`` to before ``end``.
 
-    Each is in the column of the last breakpoint that is not above its torque, at most the last but one. The
-    rows are read in place: numba counts a reference for every array that a function is given, and for one
-    sample that takes as long as the rest.
+    A sample's column is that of the last breakpoint not above its torque, at most the last but one. Rows are
+    read in place: numba counts a reference for every array argument, which for one sample takes as long as
+    the rest.
     """
     x, y, last, scale = breakpoints, values, breakpoints.shape[1] - 2, STEPS**2 / greatest
     for i in range(begin, end):
@@ -199,7 +199,7 @@ def interpolate(
     first: int,
     last: int,
 ) -> None:
-    """Torsion (n,) by a table up to its greatest torque; nan beyond the limit."""
+    """Set the torsion (n,) from a table up to torque `greatest`; nan beyond `limit`."""
     found = cells()
     for begin in range(first, last, BLOCK):
         end = min(begin + BLOCK, last)
@@ -209,7 +209,7 @@ def interpolate(
 
 @part
 def interpolate_at(place: Any, turn: Floats, torque: Floats, beta: Floats, count: int) -> None:
-    """As `interpolate` for the first sample, with the table's place and size from a record."""
+    """As `interpolate` for the first `count` samples, with the table's addresses and size from a record."""
     shape = place.rows, place.columns
     breakpoints = _array(_at(place.breakpoints), shape, np.int16)
     values = _array(_at(place.values), shape, np.int16)

@@ -1,10 +1,10 @@
 """One torsion for all teeth, solved exactly.
 
-A torsion beta asks for the torque ``sum k+ (beta - b+)_+ - sum k- (-beta - b-)_+`` with ``k = (r cos alpha)^2
-/ (K1 + K2)`` of each flank, times its section's share of the width: Dong et al. (2019), eq. (8), in the form
-that agrees with "loaded where the torsion exceeds the backlash". It rises and is linear between the torsions
-at which flanks begin to bear, so its inverse is found from piece to piece, exactly, for one torque or in one
-walk for many.
+A torsion beta needs the torque ``sum k+ (beta - b+)_+ - sum k- (-beta - b-)_+``, where each flank has ``k =
+(r cos alpha)^2 / (K1 + K2)`` times its section's share of the width. This is Dong et al. (2019), eq. (8), in
+the form that agrees with "loaded where the torsion exceeds the backlash". The torque rises with the torsion
+and is linear between the torsions at which flanks begin to bear. Its inverse is therefore exact, piece by
+piece, for one torque or for many in one walk.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from hd_diag.model.kernel.contact import Touch, close
 from hd_diag.model.kernel.mesh_data import Constants, MeshData
 from hd_diag.model.kernel.poses import Teeth, place, room
 
-# A torsion is found when an iteration moves it by less than this share of itself [-], or of this one [rad].
+# The iteration ends at a step below this share [-] of |beta| plus a small torsion [rad].
 _ROUNDING = 1e-15
 _SMALL_TORSION = 1e-3
 
@@ -30,7 +30,7 @@ _SMALL_SINE = 0.125
 
 
 class Side(NamedTuple):
-    """Flanks of one side that can carry load: torsion where it begins [rad], stiffness [N m/rad], column."""
+    """Flanks of one side that can bear: torsion where each begins [rad], stiffness [N m/rad], column."""
 
     start: Floats
     gain: Floats
@@ -47,7 +47,7 @@ class Flanks(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Working space for one moment, used again at the next."""
+    """Working space for one moment, reused at the next."""
 
     teeth: Teeth
     contacts: Touch
@@ -57,7 +57,7 @@ class Scratch(NamedTuple):
 
 @part
 def most_columns(mesh: MeshData) -> int:
-    """As many as there are teeth, in every section."""
+    """Greatest number of columns: all teeth in every section."""
     return mesh.constants.flexspline_teeth * mesh.tables.section_place.size
 
 
@@ -76,7 +76,7 @@ def side_room(count: int) -> Side:
 
 @part
 def contacts_room(columns: int) -> Touch:
-    """First contacts of both flanks of all columns, each (2, columns), not yet found."""
+    """Room for the first contacts of both flanks of all columns, each (2, columns)."""
     shape = (2, columns)
     return Touch(
         np.empty(shape),
@@ -93,7 +93,7 @@ def contacts_room(columns: int) -> Touch:
 
 @part
 def find(c: Constants, teeth: Teeth, count: int, found: Touch) -> None:
-    """Set the contacts of the first teeth, so many of them; the compiler does several double arcs at once."""
+    """Set the contacts of the first `count` teeth; the compiler processes several double arcs at once."""
     height, offset = teeth.height, teeth.offset
     for flank in range(2):
         row = Touch(
@@ -144,7 +144,7 @@ def closing_angle(sine: float) -> float:
 
 @part
 def flanks(mesh: MeshData, turn: float, eccentricity: complex, work: Scratch) -> Flanks:
-    """Solve the contacts of one moment, which stay in the scratch; none where a number is not finite."""
+    """Solve the contacts of one moment and keep them in the scratch; none if an input is not finite."""
     count = 0
     if math.isfinite(turn) and math.isfinite(eccentricity.real) and math.isfinite(eccentricity.imag):
         count = place(mesh, turn, eccentricity, work.teeth)
@@ -168,7 +168,7 @@ def _side(mesh: MeshData, work: Scratch, count: int, flank: int, room: Side) -> 
 
 @part
 def given_side(rotation: Floats, stiffness: Floats, side: float, room: Side) -> Side:
-    """Flanks of given closing rotations [rad] and stiffness [N m/rad]; not finite: cannot touch."""
+    """Flanks with given closing rotations [rad], not finite if they cannot touch, and stiffness [N m/rad]."""
     found = 0
     for j in range(rotation.size):
         if math.isfinite(rotation[j]):
@@ -211,7 +211,7 @@ def middle(flanks: Flanks) -> float:
 
 @part
 def balance(flanks: Flanks, torque: float) -> float:
-    """Torsion at one torque: Newton's iteration over the pieces, kept in a bracket; exact where it rests."""
+    """Torsion at one torque by bracketed Newton iteration over the pieces; exact where it converges."""
     if torque == 0.0 and flanks.high > flanks.low:
         return middle(flanks)
     least, most = -math.inf, math.inf
@@ -233,7 +233,10 @@ def balance(flanks: Flanks, torque: float) -> float:
 
 @part
 def _first_guess(flanks: Flanks, torque: float) -> float:
-    """Within the preload, or (true gap) as if every flank of the loaded side bore: beyond the solution."""
+    """Start of the iteration: middle of the preload, or (true gap) as if all flanks of the loaded side bore.
+
+    In a true gap it is beyond the solution.
+    """
     if flanks.low >= flanks.high:
         return 0.5 * (flanks.low + flanks.high)
     stiffness, moment = bearing(flanks, math.inf if torque > 0.0 else -math.inf)
@@ -273,7 +276,7 @@ def _walk(flanks: Flanks, torque: Floats, beta: Floats) -> None:
 
 @part
 def curve(flanks: Flanks, limit: float, torque: Floats, beta: Floats) -> int:
-    """Breakpoints of one moment from -limit to limit, which fills the rest; nan if no flank can bear it."""
+    """Breakpoints of one moment from -limit to limit, padded with the limit; nan if no flank can bear it."""
     lowest, highest = balance(flanks, -limit), balance(flanks, limit)
     if math.isnan(lowest) or math.isnan(highest):
         torque[:], beta[:] = math.nan, math.nan
@@ -291,7 +294,7 @@ def curve(flanks: Flanks, limit: float, torque: Floats, beta: Floats) -> int:
 def _piece(
     flanks: Flanks, lowest: float, highest: float, first: float, last: float, torque: Floats, beta: Floats
 ) -> int:
-    """Set the breakpoints between two torsions and their torques, and give the number."""
+    """Set the breakpoints between two torsions and their torques, and return their number."""
     stiffness, moment = bearing(flanks, lowest)
     start, gain = _between(flanks, lowest, highest)
     torque[0], beta[0] = first, lowest
@@ -307,7 +310,7 @@ def _piece(
 
 @part
 def _between(flanks: Flanks, lowest: float, highest: float) -> tuple[Floats, Floats]:
-    """Breakpoints between two torsions, rising, and by how much the stiffness grows at each."""
+    """Rising breakpoints between two torsions, and the change of stiffness at each."""
     size = flanks.plus.start.size + flanks.minus.start.size
     start, gain, found = np.empty(size), np.empty(size), 0
     for j in range(flanks.plus.start.size):

@@ -1,4 +1,4 @@
-"""Numbers of a mesh as the kernels take them; computed once per geometry."""
+"""Numbers of a mesh in the form that the kernels take; computed once per geometry."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from hd_diag.model.tooth_profile import DoubleArc
 JOINT_SLACK = 1e-9
 """Contacts may lie this far outside a primitive [m].
 
-The flank is smooth there, so the gap is the same to the square of it over the arc radius, and rounding cannot
-make a contact fall between two primitives.
+The flank is smooth there, so the gap changes only by the slack squared over the arc radius. The slack keeps
+rounding from making a contact fall between two primitives.
 """
 
 
@@ -48,11 +48,11 @@ class CommonTangent(NamedTuple):
 
 
 class Constants(NamedTuple):
-    """Numbers of a geometry [m, rad]; the wall is placed about the circular spline's axis, the tooth is not.
+    """Numbers of a geometry [m, rad]; the wall is about the circular spline's axis, the tooth in its frame.
 
-    ``wall_tip_datum`` is the derivative of the angle of the wall's tip by the datum radius [rad/m]. Where a
-    flank is a chain both have rows (pieces, 7) of signed radius, centre or a line's unit normal, ends towards
-    root and tip; arcs and lines of double arcs are then not used.
+    ``wall_tip_datum`` is the derivative of the angle of the wall's tip by the datum radius [rad/m]. If either
+    flank is a chain, both chains have rows (pieces, 7): signed radius, centre (of a line its unit normal),
+    ends towards root and tip. The arcs and lines of double arcs are then not used.
     """
 
     curve_radius: float
@@ -83,8 +83,8 @@ class Tables(NamedTuple):
     """Arrays of a geometry.
 
     Series of the neutral curve in every section (sections, 3, k); z of the sections [m], their shares of the
-    width [-]; cosine and sine of whole tooth pitches; angles from a lobe [rad] and how far a tooth's farther
-    tip corner there is from the axis, at most in any section [m].
+    width [-]; cosine and sine of whole tooth pitches; angles from a lobe [rad], and at each the distance from
+    the axis of a tooth's farther tip corner, the greatest over the sections [m].
     """
 
     series: Floats
@@ -110,7 +110,7 @@ class MeshData(NamedTuple):
 def reach(mesh: MeshData, displacement: float) -> float:
     """Greatest angle from a lobe where a tooth's tip can lie beyond the slots' tip radius [rad].
 
-    At a displacement of the middle section, and in any section.
+    The displacement is that of the middle section [m]; the angle covers all sections.
     """
     radius, k = mesh.tables.reach_radius, 0
     farthest = displacement + abs(mesh.tilt) * mesh.tables.section_place[-1]
@@ -121,7 +121,7 @@ def reach(mesh: MeshData, displacement: float) -> float:
 
 @formula
 def width(c: Constants, angle: float) -> int:
-    """Number of teeth at each lobe within an angle of reach."""
+    """Number of teeth at each lobe within an angle from it [rad]."""
     return min(int(2.0 * angle / c.tooth_pitch) + 1, c.flexspline_teeth // 2)
 
 
@@ -129,7 +129,7 @@ _NO_CHAIN = np.zeros((0, 7))
 
 
 def blank() -> MeshData:
-    """Numbers of the right types that no gear has: enough to compile for."""
+    """Numbers of the right types but of no gear: enough to compile for."""
     arc, line = Arc(*[1.0] * 4), CommonTangent(*[1.0] * 9)
     constants = Constants._make(
         [*[1.0] * 8, arc, arc, line, arc, arc, line, *[1.0] * 4, 0, 0, *[_NO_CHAIN] * 2]
@@ -139,7 +139,7 @@ def blank() -> MeshData:
 
 @lru_cache(maxsize=64)
 def numbers(geometry: Geometry) -> tuple[Constants, Tables]:
-    """What a mesh of this geometry has in common with all others."""
+    """Constants and tables that all meshes of a geometry share; cached."""
     return _constants(geometry), _tables(geometry)
 
 
@@ -177,7 +177,7 @@ def _constants(geometry: Geometry) -> Constants:
 
 
 def _chains(geometry: Geometry) -> tuple[Floats, Floats]:
-    """Rows of both flanks where one is a chain; none where both are double arcs."""
+    """Rows of both flanks if either is a chain; empty if both are double arcs."""
     flanks = geometry.flexspline_tooth, geometry.circular_spline_slot
     if not any(isinstance(flank, FlankChain) for flank in flanks):
         return _NO_CHAIN, _NO_CHAIN
@@ -188,7 +188,7 @@ def _chains(geometry: Geometry) -> tuple[Floats, Floats]:
 
 
 def _rows(chain: FlankChain, datum: float) -> Floats:
-    """A chain as the kernels take it, moved outwards by a datum radius [m]; see `Constants`."""
+    """Rows (pieces, 7) of a chain, moved outwards by a datum radius [m]; see `Constants`."""
     table = np.zeros((len(chain.pieces), 7))
     for row, piece in zip(table, chain.pieces, strict=True):
         shift = datum if piece.radius else 0.0
@@ -198,7 +198,7 @@ def _rows(chain: FlankChain, datum: float) -> Floats:
 
 
 def _chain_tip(rows: Floats, tip: float) -> tuple[complex, complex]:
-    """Where a wall begins, x + iy about the axis [m], and its normal there."""
+    """Point where a wall begins, x + iy about the axis [m], and the wall's unit normal there."""
     beyond = np.hypot(rows[:, 5], rows[:, 6]) >= tip
     radius, x, y, *ends = rows[int(np.argmax(beyond))].tolist()
     if not radius:
@@ -213,7 +213,7 @@ def _chain_tip(rows: Floats, tip: float) -> tuple[complex, complex]:
 
 
 def _primitives(name: str, flank: DoubleArc | FlankChain, datum: float) -> dict[str, Any]:
-    """Arcs and line of a double arc; of a chain numbers that nothing uses."""
+    """Arcs and line of a double arc; for a chain, zeros that nothing uses."""
     if isinstance(flank, FlankChain):
         none = Arc(*[0.0] * 4), Arc(*[0.0] * 4), CommonTangent(*[0.0] * 9)
         return dict(zip((f"{name}_addendum", f"{name}_dedendum", f"{name}_line"), none, strict=True))
@@ -251,7 +251,7 @@ def _line(flank: DoubleArc, datum: float) -> CommonTangent:
 
 
 def _wall_tip(dedendum: Arc, tip: float) -> complex:
-    """Where the slot's wall begins, x + iy in the slot frame about the axis [m]."""
+    """Point where the slot's wall begins, x + iy in the slot frame about the axis [m]."""
     p, q, d = tip, dedendum.distance, dedendum.radius
     lens = 2.0 * math.asin(math.sqrt((d - p + q) * (d + p - q) / (4.0 * p * q)))
     return cmath.rect(p, math.atan2(dedendum.y, dedendum.x) - lens)

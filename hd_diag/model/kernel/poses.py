@@ -2,8 +2,8 @@
 
 Tooth i stands at ``s_i = R_b (theta_F + 2 pi i / Z_R - theta_W) + s_0`` along the neutral curve: Dong et al.
 (2019), eqs. (1)-(7). Its foot point and axis are those of ``neutral_curve.tooth_axes``, moved by the wave
-generator's displacement, in every section of the width. Angles are cosines and sines here: the next tooth is
-one rotation by a pitch away.
+generator's displacement, in every section of the width. Angles are kept as cosines and sines: a rotation by
+whole pitches gives the other teeth.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from hd_diag.model.kernel.mesh_data import Constants, MeshData, reach, width
 class Teeth(NamedTuple):
     """Poses of teeth in all sections, each (columns,), and working space.
 
-    Foot point along the tooth axis and counter-clockwise across it, about the circular spline's axis [m];
-    angle by which the tooth axis leads its slot's [rad]; cosine and sine of the tooth axis from the long
-    axis; number of the slot; number of the tooth, counted on over turns; number of the section, its z [m] and
-    its share of the width [-]. Columns are those of one lobe and then the other's; of each, one section after
-    the other with the same teeth.
+    Foot point along the tooth axis and counter-clockwise across it, from the circular spline's axis [m];
+    angle by which the tooth axis leads the slot's [rad]; cosine and sine of the tooth axis from the long
+    axis; number of the slot; number of the tooth, which does not restart after a turn; number of the section,
+    z [m] and the section's share of the width [-]. Columns hold one lobe and then the other, each section by
+    section with the same teeth.
     """
 
     height: Floats
@@ -57,7 +57,7 @@ def room(columns: int) -> Teeth:
 
 @part
 def place(mesh: MeshData, turn: float, displacement: complex, teeth: Teeth) -> int:
-    """Set the poses of the teeth within reach, displaced in the housing; gives the number of columns."""
+    """Set the poses of the teeth within reach for a displacement in the housing; return their number."""
     c, tables, angle = mesh.constants, mesh.tables, reach(mesh, abs(displacement))
     columns, sections = width(c, angle), tables.section_place.size
     start = -turn * c.turn_ratio + mesh.arc_offset / c.curve_radius
@@ -84,7 +84,7 @@ def place(mesh: MeshData, turn: float, displacement: complex, teeth: Teeth) -> i
 
 @part
 def _axes(series: Floats, begin: int, end: int, center: complex, teeth: Teeth) -> None:
-    """Tooth axes and foot points of a section; lead is for now the axis' angle less u."""
+    """Set tooth axes and foot points of a section; lead temporarily holds the axis' angle less u."""
     _, lead = _summed(series[0], begin, end, teeth)
     for j in range(begin, end):
         teeth.lead[j] = 2.0 * teeth.place_sin[j] * teeth.place_cos[j] * lead[j]
@@ -128,7 +128,7 @@ def _slots(c: Constants, count: int, start: float, turn: float, teeth: Teeth) ->
 
 @inline
 def _small_arctangent(tangent: float) -> float:
-    """To rounding up to 0.15."""
+    """Arctangent, exact to rounding for tangents up to 0.15."""
     x = tangent * tangent
     low = -1 / 3 + x * (1 / 5 + x * (-1 / 7 + x / 9))
     return tangent + tangent * x * (low + x * x * x * x * (-1 / 11 + x * (1 / 13 - x / 15)))
@@ -136,7 +136,7 @@ def _small_arctangent(tangent: float) -> float:
 
 @inline
 def _small_cos_sin(angle: float) -> tuple[float, float]:
-    """To rounding for angles up to 0.2 rad."""
+    """Cosine and sine, exact to rounding for angles up to 0.2 rad."""
     x = angle * angle
     cosine = 1.0 - x * (1 / 2 - x * (1 / 24 - x * (1 / 720 - x * (1 / 40320 - x / 3628800))))
     return cosine, angle * (

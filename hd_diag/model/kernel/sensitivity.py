@@ -1,10 +1,10 @@
-"""Derivatives of the torsion by parameters of the mesh, got with the torsion itself.
+"""Derivatives of the torsion by parameters of the mesh, computed together with the torsion.
 
-With K the stiffness of the loaded flanks, ``K d beta`` is the sum of ``k db - (beta - b) dk`` over the loaded
-+ flanks less that of ``k db - (-beta - b) dk`` over the loaded - flanks. By the envelope theorem db is the
-tooth's motion against the contact's normal over the lever arm: the contact's own motion does not count. ``k =
-(r cos alpha)^2 / (K1 + K2)`` changes too, for conformal arcs turn their normal fast. Tip radii stay when the
-datum moves. beta has kinks where a flank begins to bear; there a derivative is that of one side.
+K is the stiffness of the loaded flanks. ``K d beta`` is the sum of ``k db - (beta - b) dk`` over the loaded +
+flanks less the sum of ``k db - (-beta - b) dk`` over the loaded - flanks. By the envelope theorem db is the
+tooth's motion against the contact's normal, over the lever arm; the contact's own motion does not count. ``k
+= (r cos alpha)^2 / (K1 + K2)`` changes too, because the normal of conformal arcs turns fast. Tip radii stay
+fixed when the datum moves. beta has kinks where a flank begins to bear; the derivative there is one-sided.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from hd_diag.model.kernel.mesh_data import MeshData
 def parameters(mesh: MeshData) -> int:
     """Number of the parameters: E_x, E_y in the wave generator's frame, r_0, with sections the tilt's two.
 
-    A tilt is a displacement in proportion to z. Of the others the derivatives follow from dbeta/dM.
+    A tilt is a displacement proportional to z. Derivatives by other parameters follow from dbeta/dM.
     """
     return 5 if mesh.tables.section_place.size > 1 else 3
 
 
 @inline
 def _slopes(work: Scratch, flank: int, i: int, weight: float, release: float) -> tuple[float, float, float]:
-    """What a flank (0: +, 1: -) of a tooth adds to K d beta by the parameters.
+    """Contribution of a tooth's flank (0: +, 1: -) to K d beta/dp for E_x, E_y, r_0.
 
-    That is ``weight`` times db/dp, less ``release`` times the change of half the squared lever arm.
+    It is ``weight`` times db/dp, less ``release`` times the derivative of half the squared lever arm.
     """
     touch, teeth, side = work.contacts, work.teeth, 1.0 - 2.0 * flank
     normal_x, normal_y, sine = touch.normal_x[flank, i], touch.normal_y[flank, i], touch.sine[flank, i]
@@ -60,7 +60,7 @@ def _slopes(work: Scratch, flank: int, i: int, weight: float, release: float) ->
 def _add(
     work: Scratch, i: int, slopes: tuple[float, float, float], sums: Floats, at: int, count: int
 ) -> None:
-    """Add what a tooth adds by so many parameters to sums from a place on."""
+    """Add a tooth's contribution by `count` parameters to `sums`, from index `at` on."""
     sums[at] += slopes[0]
     sums[at + 1] += slopes[1]
     sums[at + 2] += slopes[2]
@@ -71,7 +71,7 @@ def _add(
 
 @inline
 def to_housing(gradient: Floats, count: int, turned: complex) -> None:
-    """Turn derivatives by so many parameters into the housing, given the wave generator's direction there."""
+    """Turn derivatives by `count` parameters into the housing; `turned` is the wave generator's direction."""
     for k in range(0, count, 3):  # the displacement, and after r_0 the tilt
         housing = complex(gradient[k], gradient[k + 1]) * turned
         gradient[k], gradient[k + 1] = housing.real, housing.imag
@@ -79,7 +79,7 @@ def to_housing(gradient: Floats, count: int, turned: complex) -> None:
 
 @inline
 def carried(gradient: Floats, count: int, displacement: complex, tilt: complex) -> float:
-    """Change of the torsion by one of the displacement and the tilt in the wave generator's frame."""
+    """Change of the torsion for a change of displacement and tilt in the wave generator's frame."""
     change: float = gradient[0] * displacement.real + gradient[1] * displacement.imag
     if count > 3:
         change += gradient[3] * tilt.real + gradient[4] * tilt.imag
@@ -88,10 +88,10 @@ def carried(gradient: Floats, count: int, displacement: complex, tilt: complex) 
 
 @inline
 def samples_of(begin: Integers, tooth: int, step: int, steps: int, corner: int) -> tuple[int, int]:
-    """First sample of a cell, and the one after its last, for a corner that a node is of it.
+    """First sample, and the one after the last, of the cell that has a node at a corner.
 
-    Corners 0 and 1: the node is of the tooth before the samples; 2 and 3: of the next. Even: at the step
-    before them; odd: at the step after. Nothing where there is no such cell.
+    At corners 0 and 1 the node is of the tooth before the samples, at 2 and 3 of the tooth after them. At
+    even corners it is at the step before them, at odd corners at the step after. (0, 0) without such a cell.
     """
     own = step - corner % 2
     if own < 0 or own == steps:
@@ -103,7 +103,7 @@ def samples_of(begin: Integers, tooth: int, step: int, steps: int, corner: int) 
 
 @inline
 def direction(turn: float) -> complex:
-    """Of the housing, in the wave generator's frame."""
+    """Direction of the housing's x axis in the wave generator's frame."""
     return complex(math.cos(turn), -math.sin(turn))
 
 
@@ -131,7 +131,7 @@ def fill(
 def _add_side(
     work: Scratch, compliance: float, flanks: Side, beta: float, flank: int, gradient: Floats
 ) -> float:
-    """Add the flanks of one side that bear, and give their stiffness."""
+    """Add the bearing flanks of one side, and return their stiffness."""
     stiffness = 0.0
     for j in range(flanks.start.size):
         overlap = (1.0 - 2.0 * flank) * (beta - flanks.start[j])
@@ -145,7 +145,7 @@ def _add_side(
 
 @part
 def _add_edge(work: Scratch, flanks: Side, edge: float, flank: int, gradient: Floats) -> None:
-    """Add one end of a true gap; the torsion is its middle."""
+    """Add one end of a true gap, with weight 0.5: the torsion is the gap's middle."""
     for j in range(flanks.start.size):
         if flanks.start[j] == edge:
             i = flanks.column[j]
@@ -159,10 +159,10 @@ def _add_edge(work: Scratch, flanks: Side, edge: float, flank: int, gradient: Fl
 class Pieces(NamedTuple):
     """Rising pieces of the torsion over torque: torque where each begins, and its loaded flanks.
 
-    The sums over its flanks are, in columns: stiffness; stiffness times start; K d beta by every parameter
-    at zero torsion; its change with the torsion. Flanks, + before -, have the same of their own. `rank` is a
-    start, infinite of a flank that no piece begins at; `order` are the flanks' numbers by rising ranks,
-    nearly those of the moment before.
+    Columns of `sums`, over the loaded flanks: stiffness; stiffness times start; K d beta/dp of every
+    parameter at zero torsion; its derivative by the torsion. `flank` has the same columns for each flank, +
+    before -. `rank` is a flank's `start`, or infinite if no piece begins there. `order` holds the flanks'
+    indices by rising rank, which hardly change from moment to moment.
     """
 
     begin: Floats
@@ -192,7 +192,7 @@ def pieces_room(mesh: MeshData) -> Pieces:
 def fill_pieces(
     work: Scratch, compliance: float, flanks: Flanks, low: float, high: float, room: Pieces
 ) -> int:
-    """Set the pieces between two torques and give their number; none where the teeth cannot bear them."""
+    """Set the pieces between two torques and return their number; 0 if the teeth cannot bear them."""
     lowest, highest = balance(flanks, low), balance(flanks, high)
     if not (math.isfinite(lowest) and math.isfinite(highest)):
         return 0
@@ -216,10 +216,10 @@ def fill_pieces(
 
 @part
 def add(begin: Floats, sums: Floats, torque: float, weight: float, found: Floats) -> None:
-    """Add the weighted derivatives at a torque, by the parameters and by itself, then the torsion.
+    """Add to `found` the weighted derivatives at a torque, by the parameters and by it, then the torsion.
 
-    Of pieces (k,) that begin at some torques, with their sums (k, 8 or 12). Between two that meet it is the
-    middle: that of a true gap at zero torque.
+    Pieces (k,) begin at torques `begin` and have `sums` (k, 8 or 12). Where two pieces meet, the mean of both
+    counts: in a true gap at zero torque that is the gap's middle.
     """
     at, end = 0, begin.size
     while end - at > 1:
@@ -245,7 +245,7 @@ def _add_piece(sums: Floats, at: int, torque: float, weight: float, found: Float
 def _set_flanks(
     work: Scratch, softening: float, flanks: Side, flank: int, farthest: float, first: int, room: Pieces
 ) -> None:
-    """Set what a side's flanks have of their own, where they begin before the farthest torsion."""
+    """Set the columns of a side's flanks that begin to bear before the farthest torsion."""
     side, count = 1.0 - 2.0 * flank, (room.flank.shape[1] - 2) // 2
     for j in range(flanks.start.size):
         start, i, own = flanks.start[j], flanks.column[j], room.flank[first + j]
@@ -265,7 +265,7 @@ def _set_flanks(
 
 @part
 def _append(flanks: Flanks, lowest: float, highest: float, torque: float, size: int, room: Pieces) -> int:
-    """Append the pieces between two torsions; the first begins at a torque."""
+    """Append the pieces between two torsions, the first from `torque` on; return their new number."""
     plus, sums = flanks.plus.start.size, room.sums
     for k in range(sums.shape[1]):
         sums[size, k] = 0.0
@@ -291,7 +291,7 @@ def _append(flanks: Flanks, lowest: float, highest: float, torque: float, size: 
 
 @part
 def _sort(order: Integers, rank: Floats) -> None:
-    """Sort numbers of flanks by their ranks, by insertion: they nearly are."""
+    """Sort indices of flanks by rank, by insertion because they are nearly sorted."""
     for i in range(1, order.size):
         number, k = order[i], i
         while k > 0 and rank[order[k - 1]] > rank[number]:
