@@ -23,7 +23,7 @@ Figure = Callable[[list[Score]], Iterable[float | bool | None]]
 
 @dataclass(frozen=True)
 class Aim:
-    """One target, a range: of a share [%] if `share` is set, otherwise of the median."""
+    """Target range of one figure: of its share [%] if `share` is set, otherwise of its median."""
 
     name: str
     families: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""The node's CPU per message, compared with an empty rclpy node in one run; another process sends the load.
+"""The node's CPU per message beside an empty rclpy node's, in one run; load from a process of its own.
 
     python bench/bench_node.py [--joints 1 7] [--sections 1 5] [--rate HZ] [--seconds S] [--json FILE]
 

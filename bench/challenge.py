@@ -1,12 +1,12 @@
-"""The benchmark of `hd-diag diagnose`: it must find hidden causes; standard methods run on the same records.
+"""The benchmark of `hd-diag diagnose`: hidden causes to be found, beside plain methods on the same records.
 
     python bench/challenge.py [--seeds N] [--families F ...] [--development | --final] [--first SEED]
         [--jobs N] [--time S] [--no-baselines] [--again FILE] [--json FILE] [--markdown FILE]
         [--diagram FILE]
 
-The records come from test/challenge, which shares no code with the package. Development seeds may be looked
-at during development; final seeds are for the last count only. After `--time` seconds the benchmark starts
-no further record. Times are CPU seconds of one core.
+Records come from test/challenge, which shares no code with the package. Development seeds may be looked at
+while the method is made; final seeds are for the last count only. `--time` begins no record after so many
+seconds. Times are CPU seconds of one core.
 """
 
 # ruff: noqa: D103, T201, E402

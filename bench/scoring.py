@@ -282,7 +282,7 @@ def _judge_fit(result: Score, made: records.Record, found: Diagnosis) -> None:
 
 
 def covered(found: Diagnosis, made: records.Record) -> int:
-    """Number of the seven parameters inside their 95 % interval, for the better of the equivalent drives."""
+    """Number of the seven parameters whose 95 % interval holds the nearest equivalent drive's value."""
     assert found.refitted is not None
     parameters = found.refitted.parameters[:PARAMETERS]
     spread = np.sqrt(np.diag(found.refitted.covariance))[:PARAMETERS]

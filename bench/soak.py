@@ -1,4 +1,4 @@
-"""Soak test: the node for an hour with seven joints at 1 kHz while its surroundings change (`make soak`).
+"""The node for an hour with seven joints at 1 kHz while all around it changes (`make soak`).
 
     python bench/soak.py [--seconds S] [--rate HZ] [--joints N] [--folder DIR] [--json FILE] [--markdown FILE]
 

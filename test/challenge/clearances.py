@@ -91,7 +91,7 @@ def _wall(design: Design, datum: float) -> tuple[Array, Array]:
 
 
 def _closing(radius: Array, angle: Array, wall: tuple[Array, Array]) -> Array:
-    """Smallest angle (n,) from polylines (n, points) to the wall, outwards of the lower of both tips."""
+    """Smallest angle (n,) from polylines (n, points) to the wall, from the lower of both tips outwards."""
     first = wall[0][1]
     low = np.minimum(first, radius[:, -1:])
     gap = np.where(radius >= low, np.interp(radius, *wall) - angle, np.inf).min(axis=1)

@@ -96,7 +96,7 @@ class Hysteresis(Cause, name="hysteresis"):
 class CoulombWindup(Cause, name="coulomb_windup"):
     """A seal's dry friction winds up the output [rad], more at low speed (Stribeck share, speed [rad/s]).
 
-    The friction torque is the one that does so at the drive's mean compliance.
+    The friction torque is `amplitude` over the drive's mean compliance.
     """
 
     amplitude: float

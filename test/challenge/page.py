@@ -111,13 +111,13 @@ class Wave(Cause, name="usual_wave", sizes=("amplitude",)):
 class LargeWave(Wave, name="input_wave", known=False):
     """The same wave, larger than in any new gear."""
 
-    # Displaced slots, or a wave generator off its shaft, also cause a wave that falls with load.
+    # Displaced slots, or motion of the wave generator on its shaft, also cause such a wave.
     may_be = ("circular_spline_pitch", "circular_spline_form", "coupling_misalignment")
 
 
 @dataclass(frozen=True)
 class OutputWave(Cause, name="usual_output_wave", sizes=("amplitude",)):
-    """A wave per output turn [rad], as from a flange that wobbles."""
+    """A wave per output turn [rad], as from a flange whose centre circles."""
 
     amplitude: float
     order: int
