@@ -1,4 +1,4 @@
-"""What the benchmark of the diagnosis is to reach, family by family."""
+"""Targets for the benchmark of the diagnosis, family by family."""
 
 # ruff: noqa: D103
 
@@ -23,7 +23,7 @@ Figure = Callable[[list[Score]], Iterable[float | bool | None]]
 
 @dataclass(frozen=True)
 class Aim:
-    """What is to be reached: by a share [%] or, of other figures, by the median."""
+    """Target range of one figure: of its share [%] if `share` is set, otherwise of its median."""
 
     name: str
     families: tuple[str, ...]
@@ -33,7 +33,7 @@ class Aim:
     share: bool = True
 
     def found(self, scores: list[Score]) -> float:
-        """The figure, nan where no record has it."""
+        """The share [%] or the median; nan if no record has the figure."""
         own = self.figure([s for s in scores if s.method == OWN and s.family in self.families])
         given = [float(v) for v in own if v is not None and np.isfinite(v)]
         if not given:

@@ -1,7 +1,7 @@
-"""Plain methods on the same records: peaks of a spectrum, LassoCV, and PySINDy's sequential threshold.
+"""Standard methods on the same records: spectral peaks, LassoCV, and PySINDy's sequential threshold.
 
-All begin where the package begins its search: at the residual of the refitted model. The two regressions
-get the package's own dictionary, the model's derivatives among it.
+All methods start where the package starts its search: at the residual of the refitted model. The two
+regressions use the package's own dictionary, including the derivatives of the model.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from hd_diag.diagnosis.fit.refit import refit
 from hd_diag.model.torsion_map import ARCSEC
 
 ROWS = 6000
-GRID_POINTS = 4  # of an effect with nonlinear values
+GRID_POINTS = 4  # per effect with nonlinear values
 WORTH_NAMING = 0.25 * ARCSEC  # [rad rms]
 PER_TURN = 256
-TIMES_FLOOR = 8.0  # a peak of the spectrum over the median about it
+TIMES_FLOOR = 8.0  # ratio of a spectral peak to the median around it
 
-# Cycles per input turn, and who is usually blamed for them.
+# Cycles per input turn, their tolerance, and the causes usually blamed for them.
 KNOWN_ORDERS = (
     (0.01, 0.003, ["output_runout", "output_encoder_eccentricity"]),
     (0.44, 0.03, ["bearing_passage"]),
@@ -42,7 +42,7 @@ Named = tuple[list[list[str]], list[float]]
 
 
 def fft(bench: LinearisedFit) -> Named:
-    """Peaks of the residual's spectrum over the input angle, at orders that textbooks know."""
+    """Spectral peaks of the residual over the input angle, at the orders that textbooks know."""
     bench_left = bench.residual - bench.residual.mean()
     cell = np.round(bench.signals.wave_generator_angle * PER_TURN / (2.0 * np.pi)).astype(np.int64)
     cell -= cell.min()
@@ -66,7 +66,7 @@ def fft(bench: LinearisedFit) -> Named:
 
 
 def dictionary(bench: LinearisedFit) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Columns of unit rms about zero, the residual [rad], and each column's effect ("" for the model)."""
+    """Centred columns of unit rms, the residual [rad], and the effect of each column ("" for the model)."""
     parts, owners = [bench.always()], [""] * bench.always().shape[1]
     for effect in bench.data.searched:
         if not effect.testable(bench.signals)[0]:
@@ -88,7 +88,7 @@ def dictionary(bench: LinearisedFit) -> tuple[np.ndarray, np.ndarray, list[str]]
 
 
 def _named(columns: np.ndarray, owners: list[str], weights: np.ndarray) -> Named:
-    """Effects whose part is large enough to be named."""
+    """Effects whose fitted contribution is large enough to name, and its rms [rad]."""
     named, sizes = [], []
     for name in dict.fromkeys(owner for owner in owners if owner):
         own = np.array([owner == name for owner in owners])
@@ -111,7 +111,7 @@ def lasso(bench: LinearisedFit) -> Named:
 
 
 def sindy(bench: LinearisedFit) -> Named:
-    """Sequential threshold least squares of PySINDy, threshold at what is worth naming."""
+    """PySINDy's sequential threshold least squares; the threshold is the smallest rms worth naming."""
     from pysindy import STLSQ
 
     columns, left, owners = dictionary(bench)
@@ -134,7 +134,7 @@ def available() -> list[str]:
 
 
 def scores(made: records.Record, family: str, seed: int) -> list[scoring.Score]:
-    """Scores of all baselines that can run."""
+    """Scores of all available baselines."""
     record = scoring.prepared(made)
     configured = scoring.configured(made)
     found_parameters = refit(record, configured, np.random.default_rng(0)).parameters

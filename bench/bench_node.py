@@ -2,11 +2,11 @@
 
     python bench/bench_node.py [--joints 1 7] [--sections 1 5] [--rate HZ] [--seconds S] [--json FILE]
 
-All joints come in one message, with effort, at the rate. Only the diagnostics are subscribed to;
-per-tooth arrays at their default rate. With more sections than one the node with a log runs once more for
-each number, its drives as coned cups. CPU is that of the whole process with its DDS threads, from
-when its maps are in force until the last report has come. The empty nodes do nothing: SingleThreadedExecutor
-with a typed callback, as most rclpy nodes are, and EventsExecutor with a raw one.
+All joints come in one message, with effort, at the given rate. The benchmark subscribes only to the
+diagnostics; per-tooth arrays keep their default rate. For each number of sections above one, the node with a
+log runs once more with coned cups. CPU is that of the whole process with its DDS threads. It is counted from
+the end of the warm-up round, with maps in use, until the last report has arrived. The empty nodes do nothing:
+a SingleThreadedExecutor with a typed callback, as in most rclpy nodes, and an EventsExecutor with a raw one.
 """
 
 # ruff: noqa: D102, D103, T201
@@ -35,11 +35,11 @@ from sensor_msgs.msg import JointState
 from hd_diag.messages.encoding import encode_joint_states
 
 DEPTH = 2000
-CUP = {"face_width": 0.011, "cup_length": 0.04}  # the paper's [m]
+CUP = {"face_width": 0.011, "cup_length": 0.04}  # dimensions of the paper's cup [m]
 WARM_UP = 1.0  # [s]
 LIMIT = 120.0  # for start, maps and answers [s]
 TICK = os.sysconf("SC_CLK_TCK")
-PAUSE = 1.0  # without news, after which everything is taken to have arrived [s]
+PAUSE = 1.0  # time without new data after which all messages count as arrived [s]
 
 
 def names(joints):
@@ -47,7 +47,7 @@ def names(joints):
 
 
 def messages(joints, count, rate):
-    """Joints that swing with a torque that swings, as bytes."""
+    """Serialised messages of joints that swing under a swinging torque."""
     time_ = np.arange(count) / rate
     angle = 20.0 * np.sin(time_)
     torque = 30.0 * np.cos(0.3 * time_)
@@ -58,7 +58,7 @@ def messages(joints, count, rate):
 
 
 def generate(joints, rate, counts):
-    """Publish so many messages at each line of the standard input."""
+    """Publish one of the given counts of messages for each line on standard input."""
     rclpy.init()
     node = rclpy.create_node("load")
     publisher = node.create_publisher(JointState, "joint_states", DEPTH)
@@ -95,7 +95,7 @@ def empty(kind):
 
 
 def cpu(process):
-    """Seconds of CPU of a process, all its threads."""
+    """CPU time of all threads of a process [s]."""
     fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / TICK
 
@@ -111,7 +111,7 @@ def running(*command, **streams):
 
 
 def measured(process, options, joints, done):
-    """CPU [s] and wall time [s] over the messages of the second round, and how many were sent in all."""
+    """CPU [s] and wall time [s] of the second round; messages sent in both rounds, and in the second."""
     counts = [int(options.rate * WARM_UP), int(options.rate * options.seconds)]
     own = [__file__, "--role", "generate", "--joints", str(joints), "--rate", str(options.rate)]
     own += ["--counts", *map(str, counts)]
@@ -153,7 +153,7 @@ class Reports:
                 sys.exit(f"the node did not get so far within {LIMIT} s")
 
     def settled(self):
-        """Spin until no report shows more samples."""
+        """Spin until the sample counts in the reports stop rising."""
         last, since = None, time.monotonic()
         while time.monotonic() - since < 2.0 * PAUSE:
             rclpy.spin_once(self.node, timeout_sec=0.1)
@@ -186,7 +186,7 @@ def node_case(folder, joints, log, sections, options):
 
 
 def row(label, joints, used, wall, lost, count):
-    """CPU beyond the sending (reports while all settles) is part of what the messages cost."""
+    """One result; CPU after the sending (reports until all settles) counts as a cost of the messages."""
     return {
         "node": label,
         "joints": joints,

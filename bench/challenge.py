@@ -27,7 +27,7 @@ from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path[:0] = [str(ROOT / "test"), str(ROOT / "bench")]  # challenge is the package in test/
+sys.path[:0] = [str(ROOT / "test"), str(ROOT / "bench")]  # `challenge` is the package in test/
 for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ.setdefault(threads, "1")
 
@@ -47,7 +47,7 @@ Column = tuple[str, Callable[[list[Score]], str]]
 
 
 def judged(family: str, seed: int, with_baselines: bool) -> tuple[list[Score], str]:
-    """Scores of a record, and what went wrong."""
+    """Scores of a record, and the traceback if it failed."""
     found: list[Score] = []
     try:
         record = made(family, seed)
@@ -76,7 +76,7 @@ def median(values: Iterable[float | None], form: str, scale: float = 1.0) -> str
 
 
 def coverage(scores: list[Score]) -> str:
-    """Of the parameters; they are not independent, so the interval is of records, not of parameters."""
+    """Share of parameters inside their intervals. Parameters are dependent: its interval counts records."""
     given = [s.covered for s in scores if s.covered is not None]
     if not given:
         return "–"
@@ -149,7 +149,7 @@ def missed(scores: list[Score]) -> Iterator[str]:
 
 
 def tell(scores: list[Score], failure: str, console: Console) -> None:
-    """What went wrong with a record."""
+    """Print the misses or the failure of a record."""
     lines = [f"missed: {line}" for line in missed(scores)] + [f"FAILED: {failure}"] * bool(failure)
     for line in lines:
         console.print(line, highlight=False, markup=False, soft_wrap=True)
@@ -158,7 +158,7 @@ def tell(scores: list[Score], failure: str, console: Console) -> None:
 def run(
     work: Sequence[tuple[str, int]], jobs: int, with_baselines: bool, limit: float, console: Console
 ) -> tuple[list[Score], list[str]]:
-    """Scores of all records, in the order of the work."""
+    """Scores of all records, in the order of `work`."""
     begin, results, waiting = time.monotonic(), {}, list(reversed(work))
     progress = Progress(
         TextColumn("{task.description}"), MofNCompleteColumn(), TimeRemainingColumn(), console=console
@@ -206,7 +206,7 @@ def arguments() -> argparse.Namespace:
 
 
 def again(given: argparse.Namespace) -> int:
-    """Print an earlier run's tables."""
+    """Print the tables of an earlier run."""
     read = json.loads(given.again.read_text())
     names = {field.name for field in dataclasses.fields(Score)}
     scores = [Score(**{k: v for k, v in one.items() if k in names}) for one in read["records"]]
@@ -224,7 +224,7 @@ def main() -> int:
     if given.again:
         return again(given)
     seeds = (FINAL if given.final else DEVELOPMENT)[given.first : given.first + given.seeds]
-    # Seed by seed, so that a run that ends early has some of every family.
+    # Seeds come first, so that a run that ends early covers every family.
     work = [(family, seed) for seed in seeds for family in given.families]
     with_baselines = not given.no_baselines
     missing = set(baselines.METHODS) - set(baselines.available())

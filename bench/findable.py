@@ -1,12 +1,12 @@
-"""Least size at which each cause could be found on a standard record, for test/challenge/families.py.
+"""Smallest findable size of each cause on a standard record, for test/challenge/families.py.
 
-A cause's signal is what it adds to the transmission error, less all that other parameters of the drive could
-do instead. It is findable where a test of two degrees of freedom at 1e-6 (some 1e4 looks at 1 %) sees it 99
-times of 100 in the noise of the record (SNR), and where it is worth naming (0.25 arcsec rms).
+The signal of a cause is what it adds to the transmission error, minus the part that parameters of the drive
+could imitate. The cause is findable if a test with two degrees of freedom at 1e-6 (about 1e4 tests at 1 %)
+detects it in 99 of 100 cases in the noise of the record (SNR), and if it is worth naming (0.25 arcsec rms).
 
     python bench/findable.py
 
-prints the largest of several drawn drives.
+prints the largest value over several random drives.
 """
 
 # ruff: noqa: T201
@@ -30,7 +30,7 @@ from challenge.truth import ARCSEC, Base, drawn
 
 
 def whitened(x: Array) -> Array:
-    """Columns (n, k) [rad] divided by the noise's spectrum: white noise would have unit variance."""
+    """Columns (n, k) [rad], whitened: noise of a standard record would have unit variance."""
     frequency = np.fft.rfftfreq(len(x))
     slow = (
         noise.DRIFTING**2
@@ -42,26 +42,26 @@ def whitened(x: Array) -> Array:
 
 
 def _moved(base: Base) -> list[Base]:
-    """Drives that differ in one parameter each."""
+    """Drives that each differ in one parameter."""
     tiny = {"e": 0.3e-6, "psi": 0.02, "runout": 0.3e-6, "runout_psi": 0.05}
     tiny |= {"datum": 0.3e-6, "compliance": 1e-8, "cup": 1e-7, "offset": 1e-6}
     return [dataclasses.replace(base, **{name: getattr(base, name) + step}) for name, step in tiny.items()]
 
 
 def jacobian(base: Base, motion: Motion, time: Array, here: Array) -> Array:
-    """Columns (n, 8): what each parameter of the drive, a little off, adds to an error (n,) [rad]."""
+    """Columns (n, 8): change of the error (n,) [rad] for a small step of each drive parameter."""
     return np.stack([transmission_error(b, (), motion, time) - here for b in _moved(base)], axis=1)
 
 
 def least(signal: Array, columns: Array) -> tuple[float, float]:
-    """Factor that makes a signal (n,) [rad] findable, and the share of it that is its own."""
+    """Factor that makes a signal (n,) [rad] just findable, and the share that no column (n, k) imitates."""
     rest = own(signal, columns)
     seen = np.linalg.norm(own(whitened(signal[:, None])[:, 0], whitened(columns)))
     return float(max(SNR / seen, WORTH_NAMING / rest.std())), float(rest.std() / signal.std())
 
 
 def main(drives: int = 2) -> None:
-    """Print the least sizes, and the rms at the output of each cause per unit of its amplitude."""
+    """Print the smallest sizes, and each cause's rms at the output per unit of its amplitude."""
     found: dict[str, list[tuple[float, float, float]]] = {}
     for seed in range(drives):
         rng = np.random.default_rng([seed, 1])

@@ -1,10 +1,10 @@
-"""The paper's way to one moment of the mesh, plainly: a search per tooth pair, recursion over loaded pairs.
+"""A plain version of the paper's method for one moment: a search per tooth pair, recursion over loaded pairs.
 
 Dong, Chen, Wang, Dong, "Kinematic Model of Harmonic Drive in Robot Joints with Input Eccentricity Error",
-ROMANSY 22, 2019, doi 10.1007/978-3-319-78963-7_18: the backlash of every tooth pair by a one-dimensional
-search along the flank (section 3), the load by going through the loaded pairs until none is added or released
-(eq. 8). What does not change from pair to pair is computed once. It imports nothing of hd_diag. SI units,
-angles counter-clockwise, origin on the circular spline's axis.
+ROMANSY 22, 2019, doi 10.1007/978-3-319-78963-7_18. A one-dimensional search along the flank gives each tooth
+pair's backlash (section 3). The loaded pairs follow by iteration until none is added or released (eq. 8).
+Quantities common to all pairs are computed once. The module imports nothing of hd_diag. SI units, angles
+counter-clockwise, origin on the circular spline's axis.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from functools import cached_property
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import ellipe, ellipeinc
 
-SAMPLES = 24  # of a flank, before the search
-STEP = 1e-8  # for slopes [m]
+SAMPLES = 24  # along a flank, before the search
+STEP = 1e-8  # for numerical slopes [m]
 PRECISION = 1e-13  # of the search [m]
 
 
 @dataclass(frozen=True)
 class Flank:
-    """Double circular arc: radii and centres of the outer and the inner arc, x outward from `origin` [m]."""
+    """Double circular arc: radii and centres of the outer and the inner arc [m], with x outward."""
 
     outer_radius: float
     inner_radius: float
@@ -32,7 +32,7 @@ class Flank:
 
     @cached_property
     def tangent(self):
-        """Direction of the common tangent's normal, and the heights at which it leaves the arcs."""
+        """Normal direction of the common tangent [rad], and the heights where it meets the arcs [m]."""
         dx = self.inner_center[0] - self.outer_center[0]
         dy = self.inner_center[1] - self.outer_center[1]
         normal = math.atan2(dy, dx) - math.acos((self.outer_radius + self.inner_radius) / math.hypot(dx, dy))
@@ -43,7 +43,7 @@ class Flank:
 
 @dataclass(frozen=True)
 class Gear:
-    """The paper's example with the two lengths that it does not print."""
+    """The paper's example, with the two lengths that the paper does not print."""
 
     tooth: Flank = Flank(0.2031e-3, 0.5046e-3, (0.7625e-3, -0.0548e-3), (0.6929e-3, 0.6557e-3))
     slot: Flank = Flank(0.2313e-3, 0.4357e-3, (1.2201e-3, -0.0782e-3), (1.2791e-3, 0.5886e-3))
@@ -59,17 +59,17 @@ class Gear:
 
     @cached_property
     def modulus(self):
-        """Of the ellipse, as scipy takes it."""
+        """Parameter m of the ellipse for scipy's elliptic integrals."""
         return 1.0 - (self.semi_minor / self.semi_major) ** 2
 
     @cached_property
     def quarter(self):
-        """Complete elliptic integral: a quarter of the neutral curve over its long semi-axis."""
+        """Complete elliptic integral: a quarter of the neutral curve's length over its long semi-axis."""
         return float(ellipe(self.modulus))
 
     @cached_property
     def wall_joints(self):
-        """Distances from the axis at which the slot's arcs pass into their tangent [m]."""
+        """Distances from the axis at which the slot's arcs meet their common tangent [m]."""
         flank = self.slot
         normal, low, high = flank.tangent
         inner = math.hypot(self.datum + low, flank.inner_center[1] - flank.inner_radius * math.sin(normal))
@@ -89,7 +89,7 @@ class Pair:
 
 
 def tooth_height(flank, x):
-    """Half width of the tooth at height x [m]."""
+    """Half width of the tooth [m] at height x [m]."""
     normal, low, high = flank.tangent
     if x <= low:
         center, radius = flank.inner_center, flank.inner_radius
@@ -102,7 +102,7 @@ def tooth_height(flank, x):
 
 
 def wall_angle(gear, radius):
-    """Polar angle of the slot's + wall at a distance from the axis [rad]."""
+    """Polar angle of the slot's + wall [rad] at a distance from the axis [m]."""
     flank = gear.slot
     inner, outer = gear.wall_joints
     if inner < radius < outer:
@@ -145,14 +145,14 @@ def pose(gear, tooth, turn, eccentricity):
 
 
 def flank_pair(gear, tooth, side, foot, axis):
-    """Closing rotation of one flank by a search along it; None where it does not reach the slots."""
+    """Closing rotation of one flank, by a search along it; None if the flank does not reach the slots."""
     pitch = 2.0 * math.pi / gear.circular_spline_teeth
     middle = 0.5 * (gear.root + gear.tip)
     slot = pitch * round(math.atan2(foot[1] + middle * axis[1], foot[0] + middle * axis[0]) / pitch)
     c, s = math.cos(slot), math.sin(slot)
 
     def polar(x):
-        """Distance from the axis and angle from the slot's axis of the flank at height x."""
+        """Distance of the flank from the axis, and its angle from the slot's axis, at height x."""
         y = side * tooth_height(gear.tooth, x)
         px, py = foot[0] + x * axis[0] - y * axis[1], foot[1] + x * axis[1] + y * axis[0]
         return math.hypot(px, py), side * math.atan2(c * py - s * px, c * px + s * py)
@@ -168,14 +168,14 @@ def flank_pair(gear, tooth, side, foot, axis):
     radius = polar(x)[0]
     if gear.tip - x < 10.0 * STEP or x - first >= 10.0 * STEP:
         slope = (wall_angle(gear, radius + STEP) - wall_angle(gear, radius - STEP)) / (2.0 * STEP)
-    else:  # the slot's corner on the tooth's flank
+    else:  # the slot's corner touches the tooth's flank
         (r_0, a_0), (r_1, a_1) = polar(x - STEP), polar(x + STEP)
         slope = (a_1 - a_0) / (r_1 - r_0)
     return Pair(tooth, side, gap(x), radius, radius / math.hypot(1.0, radius * slope))
 
 
 def searched(gap, low, high):
-    """Place of the least gap: samples, then a bounded search around the least; the ends count."""
+    """Place of the smallest gap: samples, then a bounded search around the best one, ends included."""
     step = (high - low) / SAMPLES
     places = [low + k * step for k in range(SAMPLES + 1)]
     values = [gap(place) for place in places]
@@ -195,7 +195,7 @@ def pairs(gear, turn, eccentricity):
 
 
 def torsion(gear, found, torque, bearing=None, depth=0):
-    """Torsion and loaded pairs: those loaded at one torsion give the next, until they stay (eq. 8)."""
+    """Torsion and loaded pairs. Pairs loaded at one torsion give the next one, until they stay (eq. 8)."""
     if bearing is None:
         bearing = [pair for pair in found if pair.side * torque > 0.0]
     stiffness = sum(pair.lever**2 for pair in bearing) / gear.compliance

@@ -1,4 +1,4 @@
-"""How often a class is there that the diagnosis states with some probability."""
+"""Reliability of stated probabilities: how often a class is present that has some probability."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ EDGES = (0.5, 0.8, 0.95, 0.99, 0.999, 1.0)
 
 
 def wilson(hits: int, count: int, z: float = 1.96) -> tuple[float, float]:
-    """95 % interval of a rate."""
+    """95 % interval of a rate (Wilson)."""
     if count == 0:
         return 0.0, 1.0
     share = hits / count
@@ -26,7 +26,7 @@ def wilson(hits: int, count: int, z: float = 1.96) -> tuple[float, float]:
 
 
 def _bins(scores: Sequence[Score]) -> list[tuple[str, float, int, int]]:
-    """Of each bin its name, the mean probability stated in it, how many, and how many of them are there."""
+    """Name, mean stated probability, number of classes and number of present classes of each bin."""
     stated = [one for score in scores for one in score.stated]
     found = []
     for low, high in pairwise(EDGES):
@@ -38,7 +38,7 @@ def _bins(scores: Sequence[Score]) -> list[tuple[str, float, int, int]]:
 
 
 def table(scores: Sequence[Score]) -> str:
-    """Markdown; empty where nothing was stated."""
+    """The bins as a Markdown table; empty if no probability was stated."""
     rows = [
         f"| {name} | {count} | {100 * mean:.2f} % | {100 * hits / count:.1f} % "
         f"({100 * wilson(hits, count)[0]:.0f}–{100 * wilson(hits, count)[1]:.0f}) |"
@@ -50,7 +50,7 @@ def table(scores: Sequence[Score]) -> str:
 
 
 def draw(scores: Sequence[Score], file: Path) -> None:
-    """Share of the classes that are there over the probability stated, with 95 % intervals."""
+    """Plot the share of classes that are present over the stated probability, with 95 % intervals."""
     figure, axes = plt.subplots(figsize=(4.5, 4.5), layout="constrained")
     axes.plot((50, 100), (50, 100), "--", color="0.6", label="as stated")
     for _, mean, count, hits in _bins(scores):

@@ -1,4 +1,4 @@
-"""What a diagnosis of a generated record is worth: names, sizes, residual, intervals, time."""
+"""Scores of a diagnosis of a generated record: names, sizes, residual, intervals, time."""
 
 # ruff: noqa: D102
 
@@ -30,36 +30,36 @@ from hd_diag.diagnosis.record import Record, prepare
 from hd_diag.diagnosis.verdict import sentence
 from hd_diag.drive import Drive
 
-PARAMETERS = fit_parameters.TILT.start  # of the generator's drives, which have one section
+PARAMETERS = fit_parameters.TILT.start  # the generator's drives have one section and so no tilt
 CONFIGURED = resolve({}).joints[0].drive
 ORDER_TOLERANCE = 0.02
-MISFIT = 1.3  # held-out residual over true noise from which something must be said
-SIZED_OTHERWISE = ("ratio_error", "tooth_skip")  # findings before the fit: no rms at the output
+MISFIT = 1.3  # over this ratio of held-out residual to true noise, the diagnosis must say something
+SIZED_OTHERWISE = ("ratio_error", "tooth_skip")  # found before the fit: no rms at the output
 
 
 @dataclass
 class Score:
-    """One method on one record.
+    """Result of one method on one record.
 
     Attributes
     ----------
-    hidden, found : names that are true and can be found, and classes that were named
-    optional : names that are true, but need not be found
-    unknown : name of a cause that no catalogue has, or ""
-    false_names : classes named that hold nothing true
-    amplitude_errors : relative, of those named rightly
-    listed : hidden names that the record's motion was said not to show
-    denied : hidden names not found, though larger than what the record was said to show
-    claimed : an eccentricity or runout said to differ from what is configured
-    flagged : something said to be unexplained, or the model not to fit
-    order_right : of an unknown cause; None where it has no order
-    over_floor, running_over_floor : held-out residual over the true noise of the output at those samples, of
-        the fit and of the model as it runs
-    over_noise : the same of the fit, over that and what noise of the smoothed torque does to the true drive
-    covered : parameters within their 95 % interval, of seven
+    hidden, found : true names that can be found, and classes that were named
+    optional : true names that need not be found
+    unknown : name of a cause that is in no catalogue, or ""
+    false_names : number of named classes that hold no true name
+    amplitude_errors : relative errors, for correctly named causes
+    listed : hidden names that, according to the diagnosis, the motion cannot show
+    denied : hidden names not found, although larger than the smallest size that the diagnosis stated
+    claimed : whether an eccentricity or runout was said to differ from the configured one
+    flagged : whether something was said to be unexplained, or the model not to fit
+    order_right : whether the order of an unknown cause was found; None if it has no order
+    over_floor, running_over_floor : ratio of held-out residual to the true noise of the output at the same
+        samples, for the fit and for the model as it runs
+    over_noise : as over_floor; the noise includes what noise of the smoothed torque does to the true drive
+    covered : number of the seven parameters inside their 95 % interval
     seconds, verdict : CPU time [s]; the sentence
     effects : true sizes [SI] by name
-    stated : probability of every class that was named or hinted at, and whether it is there
+    stated : for every class named or hinted at, its probability and whether it is really present
     """
 
     method: str
@@ -92,23 +92,23 @@ class Score:
 
     @property
     def right(self) -> bool:
-        """All that is hidden named up to its class, no more; poor motions may say what they cannot show."""
+        """Whether exactly the hidden causes were named, up to class; poor motions may excuse some of them."""
         excused = set(self.listed) if FAMILIES[self.family].excused else set()
         return self.false_names == 0 and self.missed <= excused
 
     @property
     def missed(self) -> set[str]:
-        """What is hidden and in no class that was named."""
+        """Hidden names that are in no named class."""
         return set(self.hidden) - {self.hidden[h] for h, _ in matched(self.hidden, self.found)}
 
     @property
     def passed_over(self) -> bool:
-        """Far from the noise, and nothing said."""
+        """Whether the residual is far above the noise and the diagnosis said nothing."""
         return self.over_noise is not None and self.over_noise > MISFIT and not self.flagged
 
 
 def matched(hidden: Sequence[str], found: Sequence[Sequence[str]]) -> list[tuple[int, int]]:
-    """Pairs (hidden, found) of the largest assignment of names to classes that hold them."""
+    """Largest assignment of hidden names to found classes that hold them, as index pairs (hidden, found)."""
     best: list[tuple[int, int]] = []
     places = range(max(len(hidden), len(found)))
     for order in itertools.permutations(places, len(hidden)):
@@ -119,7 +119,7 @@ def matched(hidden: Sequence[str], found: Sequence[Sequence[str]]) -> list[tuple
 
 @functools.lru_cache(maxsize=8)
 def drive(base: Base) -> Drive:
-    """A drive of the generator as one of the package."""
+    """A drive of the generator as a drive of the package."""
     shape, joint = base.design.shape, {}
     for name, profile in (("flexspline_tooth", shape.tooth), ("circular_spline_slot", shape.slot)):
         for arc in ("addendum", "dedendum"):
@@ -149,21 +149,21 @@ def drive(base: Base) -> Drive:
 
 @functools.lru_cache(maxsize=8)
 def from_page(page: Page) -> Drive:
-    """A drive as `hd-diag gear` makes it of a page."""
+    """A catalogue page's drive, as `hd-diag gear` makes it."""
     numbers = {f"gear.{name}": getattr(page, name) for name in ("size", "k1", "k2", "k3", "t1", "t2")}
     numbers |= {"ratio": page.ratio, "gear.ratio": page.ratio, "gear.rated_torque": page.rated}
     return resolve({f"joint_1.{name}": value for name, value in numbers.items()}).joints[0].drive
 
 
 def configured(made: records.Record) -> Drive:
-    """What the user believes a record's drive to be."""
+    """The drive that the user believes in."""
     if isinstance(made.base, PageJoint):
         return from_page(made.base.design)
     return CONFIGURED if made.base.design == SIZE_25 else drive(as_configured(made.base.design))
 
 
 def prepared(made: records.Record) -> Record:
-    """The record as it is read; amperes by the constant that the user knows."""
+    """The record as the package reads it. Currents become torques by the constant that the user knows."""
     constant = made.truth["recording"]["torque_constant"]
     torque = made.torque * constant if constant else made.torque
     columns = (made.time, made.input_angle, made.output_angle, torque, made.temperature)
@@ -172,14 +172,14 @@ def prepared(made: records.Record) -> Record:
 
 
 def size_of(made: records.Record, name: str, rows: np.ndarray | slice = slice(None)) -> float:
-    """Rms at the output of what a cause adds [rad], on some samples."""
+    """Rms at the output of what a cause adds [rad], over the given rows."""
     return float(np.std(records.added_by(made, name)[rows]))
 
 
 def noise_by_torque(made: records.Record) -> np.ndarray:
-    """What the true drive would do more (n,) [rad], were its torque off as the smoothed reading's noise is.
+    """Effect of the smoothed torque's noise on the true drive's output (n,) [rad].
 
-    None where no sensor measures the torque: how a motor's current is smoothed is part of the method.
+    Zero if no sensor measures the torque: the smoothing of a motor's current is part of the method.
     """
     if made.torque is None or made.truth["recording"]["torque_constant"]:
         return np.zeros(made.time.size)
@@ -200,7 +200,7 @@ def score(made: records.Record, family: str, seed: int) -> Score:
     seconds = time.process_time() - begin
     named = [[finding.name] for finding in found.findings] + [list(cause.alike) for cause in found.causes]
     sizes = [float("nan")] * len(found.findings) + [cause.amplitude for cause in found.causes]
-    judged = np.searchsorted(made.time, found.record.time[usable(found.record)])  # amplitudes are of these
+    judged = np.searchsorted(made.time, found.record.time[usable(found.record)])  # rows of the amplitudes
     result = scored("hd_diag", made, family, seed, named, sizes, judged)
     result.listed = [t.name for t in found.testable if not t.testable and t.name in result.hidden]
     shown = {t.name: t.least_size for t in found.testable if t.testable}
@@ -228,7 +228,7 @@ def scored(
     sizes: Sequence[float],
     rows: np.ndarray | slice = slice(None),
 ) -> Score:
-    """Names and sizes of any method, judged."""
+    """Score of the names and sizes that any method found."""
     hidden, unknown = made.truth["hidden"], "".join(made.truth["unknown"])
     result = Score(method, family, seed, list(hidden), unknown, named, list(made.truth["optional"]))
     result.effects = made.truth["effects"]
@@ -248,7 +248,7 @@ def _judge_unknown(result: Score, made: records.Record, answer: Answer) -> None:
     ratio, lines = made.base.design.ratio, [*found.unexplained, *found.order_table]
     seen = {line.order / ratio if line.frame == "output" else line.order for line in lines}
     kind, tolerance = SHAPES.get(result.unknown), ORDER_TOLERANCE
-    if result.unknown == LargeWave.name and result.claimed:  # an eccentricity is what it looks like
+    if result.unknown == LargeWave.name and result.claimed:  # such a wave looks like an eccentricity
         result.order_right = True
         return
     if result.unknown == LargeWave.name:
@@ -276,13 +276,13 @@ def _judge_fit(result: Score, made: records.Record, found: Diagnosis) -> None:
     result.over_noise = found.rms.offline / float(np.sqrt(np.mean(noise**2 + by_torque**2)))
     if isinstance(made.base, PageJoint):
         return
-    if not {"wear_backlash", "torsional_hardening"} & set(result.optional):  # parts of datum and compliance
+    if not {"wear_backlash", "torsional_hardening"} & set(result.optional):  # both change parameters
         result.covered = covered(found, made)
     result.trusted = found.refitted.trustworthy
 
 
 def covered(found: Diagnosis, made: records.Record) -> int:
-    """How many of the seven parameters are within their 95 % interval, lobes swapped or not."""
+    """Number of the seven parameters whose 95 % interval holds the nearest equivalent drive's value."""
     assert found.refitted is not None
     parameters = found.refitted.parameters[:PARAMETERS]
     spread = np.sqrt(np.diag(found.refitted.covariance))[:PARAMETERS]
@@ -293,12 +293,12 @@ def covered(found: Diagnosis, made: records.Record) -> int:
 
 
 def as_seen(made: records.Record) -> Base:
-    """The drive as its torque reading shows it: a gain changes all compliances."""
+    """The drive as its torque reading shows it: a gain of the reading changes all compliances."""
     gain = made.truth["effects"].get("torque_gain", {}).get("gain", 1.0)
     return dataclasses.replace(made.base, compliance=made.base.compliance / gain, cup=made.base.cup / gain)
 
 
 def plain(result: Score) -> dict[str, object]:
-    """For JSON."""
+    """The score as a dictionary for JSON."""
     derived = {"exact": result.exact, "right": result.right, "passed_over": result.passed_over}
     return {**dataclasses.asdict(result), **derived}

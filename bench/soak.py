@@ -2,13 +2,14 @@
 
     python bench/soak.py [--seconds S] [--rate HZ] [--joints N] [--folder DIR] [--json FILE] [--markdown FILE]
 
-The node and the publishers are processes of their own, over DDS. Meanwhile parameters change, the publisher
-is restarted, its clock is set ahead and back, the node's log is split, its old files are deleted by age, and
-the disk under it is full for a while: as RLIMIT_FSIZE of the running node (prlimit), which needs no rights
-and ends every write as a full disk does. The log is begun by ~/start_log, and ended for some seconds, in
-which all is kept in memory, until ~/snapshot writes it; every five minutes of an hour ~/diagnose is called.
-Each message has a stamp of its own; those sent are compared with those logged, in whichever bag. Ctrl-C ends
-it with the result so far. Exit code 0 where all holds, 1 where something does not, 130 after Ctrl-C.
+The node and the publishers are separate processes, connected over DDS. During the run parameters change, the
+publisher restarts, its clock is set ahead and back, the node splits its log and deletes files by age, and
+the disk fills up for a while. RLIMIT_FSIZE of the running node (prlimit) simulates the full disk: it needs no
+privileges and ends every write as a full disk does. ~/start_log starts the log. At times the log stops, and
+memory alone keeps everything for some seconds, until ~/snapshot writes it. Every twelfth of the run, five
+minutes of an hour, ~/diagnose is called. Each message has a unique stamp; at the end the stamps sent are
+compared with those in all bags. Ctrl-C ends the run with the result so far. Exit code 0 if all checks hold, 1
+if one fails, 130 after Ctrl-C.
 """
 
 # ruff: noqa: D102, D103
@@ -30,7 +31,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-os.environ.setdefault("ROS_DOMAIN_ID", str(100 - os.getpid() % 20))  # tests take theirs from 1 on
+os.environ.setdefault("ROS_DOMAIN_ID", str(100 - os.getpid() % 20))  # tests count theirs up from 1
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
 
@@ -52,20 +53,20 @@ from std_srvs.srv import Trigger
 from hd_diag.bag import BagReader
 
 START_LIMIT, END_LIMIT = 300.0, 60.0  # [s]
-AHEAD, BACK = 3600.0, -1800.0  # of the publisher's clock [s]
-LEAST_STEP = 8.0  # between these [s]
-LEAST_DIAGNOSES = 60.0  # between calls of ~/diagnose, which take a twelfth of the time [s]
-BEFORE, AFTER = 30.0, 2.0  # that a snapshot holds, and a diagnosis looks at [s]
-PHASE = 5.0  # in which the memory alone has what comes, and again until the log is begun [s]
-LEAST_AGE = 60.0  # of files that are deleted, which is a tenth of the time [s]
-CHANGE = 2.0  # between changes of a parameter [s]
-QUIET = 3.0  # without another sample in the reports, after which the node has taken all [s]
-LOOK = 1.0  # between looks at memory [s]
-PAUSE = 60.0  # between lines where there is no terminal [s]
+AHEAD, BACK = 3600.0, -1800.0  # steps of the publisher's clock [s]
+LEAST_STEP = 8.0  # shortest time between steps [s]
+LEAST_DIAGNOSES = 60.0  # shortest time between calls of ~/diagnose; otherwise a twelfth of the run [s]
+BEFORE, AFTER = 30.0, 2.0  # what a snapshot holds and a diagnosis reads [s]
+PHASE = 5.0  # samples go to memory only, and again until the log starts [s]
+LEAST_AGE = 60.0  # shortest age for the deletion of files; otherwise a tenth of the run [s]
+CHANGE = 2.0  # time between changes of a parameter [s]
+QUIET = 3.0  # without new samples in the reports for so long, the node has taken all [s]
+LOOK = 1.0  # time between measurements of memory [s]
+PAUSE = 60.0  # time between lines without a terminal [s]
 
 
 class Publisher:
-    """A publisher's process, and what it has sent."""
+    """A publisher's process, and the file of what it sent."""
 
     def __init__(self, folder: Path, number: int, options: argparse.Namespace) -> None:
         self.file = folder / f"sent_{number}.bin"
@@ -79,7 +80,7 @@ class Publisher:
         print(seconds, file=self.process.stdin, flush=True)
 
     def end(self) -> None:
-        """End it when the node has everything."""
+        """Terminate the publisher and wait until the node has received everything."""
         self.process.terminate()
         self.process.wait(2.0 * END_LIMIT)
 
@@ -88,7 +89,7 @@ class Publisher:
 
 
 class Run:
-    """Node, publishers, and what happens to them."""
+    """The node, its publishers, and the events of the run."""
 
     def __init__(self, folder: Path, options: argparse.Namespace) -> None:
         self.seen, self._folder, self._options = Observed(), folder, options
@@ -152,7 +153,7 @@ class Run:
             raise RuntimeError(f"the node ended with {self.process.returncode}")
 
     def prepare(self) -> None:
-        """Wait until predictions come from maps and the log has begun."""
+        """Wait until predictions come from maps and the log has started."""
         end = time.monotonic() + START_LIMIT
         asked, joints = 0, self._options.joints
         while asked <= joints or self._asked or not self._is_ready:
@@ -160,7 +161,7 @@ class Run:
             self._answer()
             if asked <= joints and self._asked is None and self._client.services_are_ready():
                 if asked < joints:
-                    self._change()  # from here on each joint has a map of its own
+                    self._change()  # gives each joint a map of its own
                 elif self._services["start_log"].service_is_ready():
                     self._ask("start_log")
                 asked += 1
@@ -174,12 +175,12 @@ class Run:
 
     @property
     def _is_calm(self) -> bool:
-        """Whether nothing of before goes on: a full disk, a time without a log, a request."""
+        """Whether no event is under way: no full disk, no pause of the log, no open request."""
         is_usual = self._due["free"] == self._due["phase"] == float("inf") and self._state == "writing"
         return is_usual and self._asked is None
 
     def go(self) -> Iterator[float]:
-        """Do it; gives the time since its begin now and then."""
+        """Run the schedule; yields the time since the start [s] now and then."""
         seconds, begin = self._options.seconds, time.monotonic()
         self._step = max(LEAST_STEP, seconds / 40.0)
         used, waited = cpu(self.process), waiting(self.process)
@@ -202,7 +203,7 @@ class Run:
                 self.seen.take(now, self.process.pid, self._log)
                 self.seen.cpu = cpu(self.process) - used
                 self.seen.waited = waiting(self.process) - waited
-                if self._asked is None:  # else the answer would have to wait
+                if self._asked is None:  # otherwise the answer would have to wait
                     self._read_files(spare=2)
                 yield now
             for name, action in actions.items():
@@ -220,7 +221,7 @@ class Run:
         self._limit(resource.RLIM_INFINITY)
 
     def _go_on(self, now: float) -> None:
-        """Write what the memory has, or begin the log again once that is written."""
+        """Write a snapshot, or restart the log once the snapshot is written."""
         if self._asked is not None or (self._phase[0] == "start_log" and self._state != "keeping"):
             return
         self._ask(self._phase.pop(0))
@@ -237,7 +238,7 @@ class Run:
             self._ask("diagnose")
 
     def _do_step(self, now: float) -> None:
-        """Do what is next to be done to the node, unless something of before still goes on."""
+        """Start the next event, unless an earlier one is still under way."""
         if not self._is_calm or now >= self._options.seconds - 2.0 * LEAST_STEP:
             return
         self._due["step"] = now + self._step
@@ -256,7 +257,7 @@ class Run:
             self._publishers[-1].set_clock(AHEAD if what == "clock set ahead" else BACK)
 
     def end(self) -> np.ndarray:
-        """End all; gives what was sent."""
+        """End all processes; returns stamps and send times of all messages (n, 2) [ns]."""
         self._limit(resource.RLIM_INFINITY)
         for one in self._publishers:
             if one.process.poll() is None:
@@ -264,7 +265,7 @@ class Run:
         until, taken = time.monotonic() + QUIET, -1
         while time.monotonic() < until and self.process.poll() is None:
             rclpy.spin_once(self._node, timeout_sec=0.05)
-            if self.seen.used != taken:  # a busy machine's node may be behind
+            if self.seen.used != taken:  # on a busy machine the node may be behind
                 until, taken = time.monotonic() + QUIET, self.seen.used
         self.process.send_signal(signal.SIGTERM)
         self.seen.code = self.process.wait(END_LIMIT)
@@ -296,7 +297,7 @@ class Run:
         self._start_publisher()
 
     def _limit(self, size: int) -> None:
-        """Let the node's files be no larger than this [byte]."""
+        """Limit the size of the node's files [byte]."""
         if size == 1:
             self.seen.full.append([time.time_ns(), 0])
         with contextlib.suppress(ProcessLookupError):
@@ -317,7 +318,7 @@ class Run:
         self._asked = time.monotonic(), future, partial(self._take_answer, service)
 
     def _take_answer(self, service: str, answer: Any) -> None:
-        """A diagnosis may be refused while another one is under way."""
+        """Count the answer; a diagnosis may be refused while another one runs."""
         if service == "diagnose":
             self.seen.counts["diagnosis begun" if answer.success else "diagnosis refused"] += 1
         elif not answer.success:
@@ -340,10 +341,10 @@ class Run:
             take(future.result())
 
     def _read_files(self, spare: int) -> None:
-        """Keep the stamps of the log's files except for the last ones, before they are old enough to go."""
+        """Read the stamps of all but the last `spare` log files, before files may be deleted by age."""
         written = {path: path.stat().st_mtime for path in self._files()}
         found = sorted(written, key=lambda path: written[path])
-        if time.monotonic() - self._diagnosed > RETENTION:  # what a diagnosis reads stays until it ends
+        if time.monotonic() - self._diagnosed > RETENTION:  # files that a diagnosis reads stay until it ends
             oldest = min(written.values(), default=time.time())
             self.seen.oldest = max(self.seen.oldest, time.time() - oldest)
         self.seen.deleted = len(self._read - {*found})
@@ -368,7 +369,7 @@ class Run:
 
 
 def waiting(process: subprocess.Popen[bytes]) -> float:
-    """How long a process's first thread could have run and had no core [s]."""
+    """Time for which a process's main thread was ready to run but had no core [s]."""
     return int(Path(f"/proc/{process.pid}/schedstat").read_text().split()[1]) * 1e-9
 
 

@@ -1,9 +1,9 @@
-"""The publisher of bench/soak.py, in a process of its own.
+"""The publisher of bench/soak.py, a separate process.
 
     python bench/soak_publisher.py NUMBER JOINTS RATE FILE
 
-Publishes until SIGTERM; the file gets the stamp of each message and when it was sent [ns]. A line on the
-standard input sets its clock by so many seconds.
+It publishes until SIGTERM. The file receives the stamp of each message and its send time [ns]. A line on
+standard input shifts the clock by that many seconds.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from sensor_msgs.msg import JointState
 
 from hd_diag.messages.encoding import encode_joint_states
 
-LATE = 0.1  # what is made up for where the machine kept it waiting [s]
-ERROR, NOISE = 2e-5, 2e-6  # of the outputs: amplitude of order 2 of the input, standard deviation [rad]
-END_LIMIT = 60.0  # for the node to have all [s]
+LATE = 0.1  # largest delay to catch up with; beyond it the block is cut [s]
+ERROR, NOISE = 2e-5, 2e-6  # of the outputs: amplitude of input order 2, standard deviation [rad]
+END_LIMIT = 60.0  # for the node to acknowledge everything [s]
 
 
 def publish(joints: int, rate: float, number: int, file: Path) -> None:
-    """Publish until SIGTERM; the file gets the stamp of each message and when it was sent [ns].
+    """Publish until SIGTERM; write the stamp of each message and its send time to the file [ns].
 
-    A line on the standard input sets the clock by so many seconds.
+    A line on standard input shifts the clock by that many seconds.
     """
     ended: list[int] = []
     signal.signal(signal.SIGTERM, lambda *_: ended.append(1))
@@ -47,7 +47,7 @@ def publish(joints: int, rate: float, number: int, file: Path) -> None:
         while not ended:
             if clock:
                 offset, last = offset + round(clock.pop() * 1e9), 0
-                number += 1000  # no stamp is given twice
+                number += 1000  # keeps every stamp unique
             begin, first = time.perf_counter(), time.time_ns() + offset
             first = max(first - first % step + number % step, last + step)
             rows, stamps = block(joints, sent, first, step)
@@ -65,7 +65,7 @@ def publish(joints: int, rate: float, number: int, file: Path) -> None:
 
 
 def block(joints: int, sent: int, first: int, step: int, size: int = 250) -> tuple[list[bytes], list[int]]:
-    """Messages of joints that swing, with an error that repeats and noise, and their stamps."""
+    """Messages of swinging joints with a periodic error and noise, and their stamps [ns]."""
     stamp = first + step * np.arange(size)
     time_ = step * 1e-9 * (sent + np.arange(size))
     angle, torque = 20.0 * np.sin(time_), 30.0 * np.cos(0.3 * time_)

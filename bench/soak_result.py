@@ -1,4 +1,4 @@
-"""What bench/soak.py has seen, and the table of it."""
+"""Observations of bench/soak.py, and their table."""
 
 # ruff: noqa: D103
 
@@ -23,14 +23,14 @@ STEPS = (
     "disk full",
 )
 ASKED = ("parameter changed", "diagnosis begun", "diagnosis refused", "verdict")
-RETENTION = 20.0  # after which what is too old is gone: the node looks every 10 s [s]
-ANSWER, GROWTH = 1.0, 0.02  # allowed: time of an answer [s], growth of the memory [1]
-AROUND = 2_000_000_000  # of a full disk: what was not on it yet, and until it is seen to be free [ns]
+RETENTION = 20.0  # delay until an old file is gone: the node looks every 10 s [s]
+ANSWER, GROWTH = 1.0, 0.02  # largest time of an answer [s], growth of the memory [1]
+AROUND = 2_000_000_000  # margin around a full disk: unwritten messages, detection of free space [ns]
 
 
 @dataclass
 class Observed:
-    """What was seen of a run; times are the system's [ns]."""
+    """Observations of a run; times are the system's [ns]."""
 
     counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys((*dict.fromkeys(STEPS), *ASKED), 0))
     refused: list[str] = field(default_factory=list)
@@ -55,11 +55,11 @@ class Observed:
 
     @property
     def used(self) -> int:
-        """Samples used or rejected, least of all joints."""
+        """Samples used or rejected, the lowest number of all joints."""
         return min((int(v["samples"]) + int(v["samples_rejected"]) for v in self.values), default=0)
 
     def take(self, now: float, process: int, log: Path) -> None:
-        """Note resident memory [MB], threads and open files of a process with a log at a time [s]."""
+        """Note resident memory [MB], threads and open files of a process with a log, at a time [s]."""
         status = Path(f"/proc/{process}/status").read_text()
         size, threads = (int(re.findall(rf"{name}:\s+(\d+)", status)[0]) for name in ("VmRSS", "Threads"))
         self.memory.append((now, size / 1024.0))
@@ -68,9 +68,9 @@ class Observed:
 
 
 def open_files(process: int, log: Path) -> int:
-    """Open files of a process, without those of its log that are there: a diagnosis holds what it reads.
+    """Number of open files of a process, except for existing files of its log: a diagnosis keeps those open.
 
-    One that was not closed is deleted by age, and counts from then on.
+    A log file that stays open after its deletion by age counts.
     """
     count = 0
     for each in Path(f"/proc/{process}/fd").iterdir():
@@ -81,10 +81,10 @@ def open_files(process: int, log: Path) -> int:
 
 
 def missing(sent: np.ndarray, logged: np.ndarray, full: Sequence[Sequence[int]]) -> tuple[int, int]:
-    """How many messages are not logged though they should be, and how many because the disk was full.
+    """Number of messages missing from the log without an excuse, and number lost to a full disk.
 
-    Rows of `sent` are stamps and when they were sent. Of each time of a full disk [begin, end] one run of
-    messages may be missing, as far as they were sent about then.
+    Rows of `sent` are stamp and send time [ns]. For each interval of a full disk [begin, end], one run of
+    consecutive messages may be missing, if they were sent around that interval.
     """
     absent = ~np.isin(sent[:, 0], logged)
     edges = np.flatnonzero(np.diff(np.concatenate(([False], absent, [False])).astype(int))).reshape(-1, 2)
@@ -96,7 +96,7 @@ def missing(sent: np.ndarray, logged: np.ndarray, full: Sequence[Sequence[int]])
 
 
 def medians(seen: Sequence[tuple[float, float]], seconds: float) -> tuple[float, float]:
-    """Of what was seen in the second tenth of the time, and in the last; nan where there is too little."""
+    """Medians of the observations in the second and the last tenth of the run; nan if there are none."""
     early = [value for at, value in seen if 0.1 * seconds <= at < 0.2 * seconds]
     late = [value for at, value in seen if at >= 0.9 * seconds]
     return float(np.median(early or np.nan)), float(np.median(late or np.nan))
@@ -105,14 +105,14 @@ def medians(seen: Sequence[tuple[float, float]], seconds: float) -> tuple[float,
 def halves(
     seen: Sequence[tuple[float, float]], seconds: float, extreme: Callable[..., float]
 ) -> tuple[float, float]:
-    """The most or least of what was seen in each half of the time; nan where there is nothing."""
+    """The extreme observation in each half of the run; nan if there is none."""
     parts = [[value for at, value in seen if (at >= 0.5 * seconds) == late] for late in (False, True)]
     first, second = (extreme(part, default=float("nan")) for part in parts)
     return first, second
 
 
 Row = tuple[str, str, str, bool]
-"""What, what shall be, what was seen, whether it holds."""
+"""What was checked, the expectation, the observation, whether it holds."""
 
 
 def result(seen: Observed, sent: np.ndarray, took: float) -> list[Row]:
@@ -169,7 +169,7 @@ def result(seen: Observed, sent: np.ndarray, took: float) -> list[Row]:
             (f"{name}, first half and second", "no more", f"{a:g}, {b:g}", b <= a)
             for name, (a, b) in (
                 ("most threads", halves(seen.threads, took, max)),
-                # The least: some are open for 20 ms, such as /proc/self/smaps; one not closed stays.
+                # The minimum: some files are open for 20 ms, such as /proc/self/smaps; a leaked one stays.
                 ("least open files beside the log's", halves(seen.open_files, took, min)),
             )
         ),
@@ -185,7 +185,7 @@ def result(seen: Observed, sent: np.ndarray, took: float) -> list[Row]:
 
 
 def of_log(seen: Observed, took: float) -> list[Row]:
-    """What retention and diagnoses do."""
+    """Results for retention and diagnoses."""
     oldest, begun, found = (
         1.1 * seen.max_age + RETENTION,
         seen.counts["diagnosis begun"],
@@ -201,7 +201,7 @@ def of_log(seen: Observed, took: float) -> list[Row]:
         ),
         (
             "verdicts of diagnoses beside it, and how many failed",
-            f"at least {max(0, begun - 1)}, 0",  # the last ends with the node
+            f"at least {max(0, begun - 1)}, 0",  # the last one may end with the node
             f"{found}, {len(failed)}{': ' * bool(failed)}{'; '.join(failed)}",
             found >= begun - 1 and not failed,
         ),

@@ -2,9 +2,9 @@
 
     python bench/suite.py [--only SECTION ...] [--seconds S] [--json FILE] [--markdown FILE]
 
-Every row is a time or a ratio, its aim beside it. Both sides of a ratio are timed here, in turn, in this
-process or as processes of their own; what they compute is compared first. Times are CPU times on one core
-unless a row says wall. Nothing passes or fails by its speed.
+Every row is a time or a ratio, next to its aim. Both sides of a ratio are timed here in turn, in this process
+or in processes of their own; their results are compared first. Times are CPU times on one core unless a row
+says wall. No speed makes the benchmark fail.
 """
 
 # ruff: noqa: D103, T201, E402
@@ -38,7 +38,7 @@ from hd_diag.model.torsion import warm_up
 
 @dataclass(frozen=True)
 class Row:
-    """One line: what was measured, against what; `aim` is a bound on the ratio ("x") or the value, if any."""
+    """One measurement and its comparison; `aim` bounds the ratio (unit "x") or the value, if set."""
 
     section: str
     what: str
@@ -52,7 +52,7 @@ class Row:
 
     @property
     def met(self) -> bool | None:
-        """Whether the aim is met; a ratio shall be at least, a value at most."""
+        """Whether the aim is met: a lower bound for a ratio, an upper bound for a value."""
         if self.aim is None:
             return None
         return bool(self.ratio and self.ratio >= self.aim) if self.aim_unit == "x" else self.value <= self.aim
@@ -115,7 +115,7 @@ def markdown(rows: list[Row], skipped: dict[str, str]) -> str:
 
 
 def cells(row: Row) -> list[str]:
-    """A row as texts: section, what, measured, ratio, against, aim, whether it is met."""
+    """Texts of a row: section, what, measured, ratio, against, aim, whether it is met."""
     sign = ">=" if row.aim_unit == "x" else "<="
     return [
         row.section,

@@ -31,7 +31,7 @@ class Skipped(Exception):
 
 HOUR = 3600.0  # [s]
 RATE = 1000.0  # [Hz]
-LOGGED, SECTIONS = "hd_diag, log on", (1, 3, 5)  # the node, and along the width of its drives
+LOGGED, SECTIONS = "hd_diag, log on", (1, 3, 5)  # the node's label, and sections of its drives
 DIAGNOSED = 120.0  # [s]
 DIAGNOSED_RATE = 500.0  # [Hz]
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -77,7 +77,7 @@ def bags(options):
 
 
 def simulated(path, seconds, rate):
-    """A joint that turns to and fro."""
+    """Write a bag of a joint that swings."""
     count = int(seconds * rate)
     stamps = START + np.round(1e9 / rate * np.arange(count)).astype(np.int64)
     time_, noise = np.arange(count) / rate, np.random.default_rng(0).normal(0.0, 1e-6, count)
@@ -102,12 +102,12 @@ def read_columns(path):
 
 
 def diagnosis(folder):
-    """As a process of its own on one core, from the start of Python to its end."""
+    """Diagnosis in a process of its own on one core, from the start of Python to its end."""
     bag, written = folder / "diagnosed.mcap", folder / "diagnosis.json"
     size = ("--duration", str(DIAGNOSED), "--rate", str(DIAGNOSED_RATE))
     truth = ("--eccentricity-um", "12", "--angle-noise-arcsec", "1")
     command("simulate", "--out", str(bag), *size, *truth)
-    command("diagnose", str(bag))  # compiles what is not on the disk yet
+    command("diagnose", str(bag))  # compiles what the disk cache lacks
     cpu, wall = command("diagnose", str(bag), "--json", str(written))
     if "verdict" not in json.loads(written.read_text()):
         raise AssertionError("no verdict")
@@ -123,7 +123,7 @@ def diagnosis(folder):
 
 
 def command(*arguments):
-    """CPU and wall time [s] of the command line on one core."""
+    """CPU and wall time [s] of one call of the command line on one core."""
     before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     with one_core():
         run = [sys.executable, "-m", "hd_diag", *arguments]
@@ -135,7 +135,7 @@ def command(*arguments):
 
 
 def node(options):
-    """CPU of the node per message, beside a node that does nothing (bench_node.py)."""
+    """CPU of the node per message, compared with a node that does nothing (bench_node.py)."""
     if importlib.util.find_spec("rclpy") is None:
         raise Skipped("rclpy is not installed")
     with tempfile.TemporaryDirectory() as folder:
@@ -152,7 +152,7 @@ def node(options):
             **{"value": row["cpu_per_message_us"], "unit": "us", "ratio": row["beside_empty"]},
             **{"against": "empty rclpy node", "note": f"{row['lost']} lost" if row["lost"] else ""},
         }
-    last = next(row for row in rows[::-1] if row["node"] == LOGGED)  # all joints
+    last = next(row for row in rows[::-1] if row["node"] == LOGGED)  # the row with the most joints
     for what, value, unit, aim in (
         ("part of the empty node's CPU", last["beside_empty"], "-", 0.7),
         ("share of a core", 100.0 * last["share_of_core"], "%", 30.0),

@@ -28,7 +28,7 @@ from hd_diag.replay.map_builder import MapBuilder
 AGREEMENT = 1e-9  # [rad]
 ECCENTRICITY = 23e-6j  # [m]
 MAP_TORQUE = 112.0  # [N m], twice the rated torque of the paper's drive
-TURNS = (0.3, 7.7, -4.1)  # moments at which both methods are compared and timed
+TURNS = (0.3, 7.7, -4.1)  # wave generator angles at which both methods are compared and timed [rad]
 TORQUE = 56.0  # [N m]
 BATCH = 2000  # moments
 SAMPLES = 100_000
@@ -49,7 +49,7 @@ def mesh() -> Mesh:
 
 
 def moment(options):
-    """One moment of all teeth with their load: the paper's method, one call of this model, and a batch."""
+    """One moment of all teeth under load: the paper's method, one call of this model, and a batch."""
     gear, own = paper_method.Gear(), Drive(mesh(), Kinematics(-100.0), TORQUE)
 
     def plainly():
@@ -96,7 +96,7 @@ def all_cores():
 
 
 def width(options):
-    """The paper's drive in sections along the width, a coned cup: a moment, and the map."""
+    """The paper's drive in sections along the width, with a coned cup: one moment, and the map."""
     turn, torque, plane = np.linspace(0.0, 2 * np.pi, BATCH, endpoint=False), np.full(BATCH, TORQUE), None
     for sections in (1, 3, 5):
         geometry = drives.geometry(face_width=0.011, cup_length=0.04, sections=sections)
@@ -113,7 +113,7 @@ def width(options):
 
 
 def flanks(options):
-    """The paper's drive, its flanks as double arcs and the same as chains of three pieces: a moment."""
+    """One moment of the paper's drive, with flanks as double arcs and as chains of three pieces."""
     turn, torque, own = np.linspace(0.0, 2 * np.pi, BATCH, endpoint=False), np.full(BATCH, TORQUE), mesh()
     plain = own.geometry
     low = plain.circular_spline_tip_radius - plain.circular_spline_datum
@@ -131,7 +131,7 @@ def flanks(options):
 
 
 def maps(options):
-    """Building the map of the transmission error, and predictions by it."""
+    """Building the map of the transmission error, and predictions from it."""
     table, took = cpu_time(build, mesh(), MAP_TORQUE)
     yield {"what": "build and check, +-112 N m", "value": took, "unit": "s", "aim": 1, "aim_unit": "s"}
     rng = np.random.default_rng(0)
@@ -160,9 +160,9 @@ def maps(options):
 
 
 def run_time(options):
-    """A change of the eccentricity while a monitor runs: in force with the next sample, its map soon after.
+    """A change of eccentricity while a monitor runs: time to the next sample, and until its map is in use.
 
-    The prediction is compared with the exact one of the new eccentricity.
+    The prediction is compared with the exact one for the new eccentricity.
     """
     before = config("joint_1")
     monitor, stamp = Monitor(before), 1_700_000_000_000_000_000
@@ -194,7 +194,7 @@ def check_in_force(published, drive):
 
 
 def sample(stamp, joints=1):
-    """One message of so many joints with everything that they report."""
+    """One message of several joints with everything that they report."""
     names = [name for k in range(1, joints + 1) for name in (f"joint_{k}_motor", f"joint_{k}")]
     position = np.tile([0.7, 0.007], (1, joints))
     effort = np.tile([0.0, 20.0], (1, joints))
@@ -202,7 +202,7 @@ def sample(stamp, joints=1):
 
 
 def growth(options):
-    """How each grows: with teeth, joints, samples and effects."""
+    """Growth of the times with teeth, joints, samples and effects."""
     yield from by_teeth()
     yield from by_joints()
     yield from by_samples()
@@ -278,7 +278,7 @@ def by_effects():
 
 
 def tolerance(options):
-    """Moments of a tolerance study: 96 angles of an assembly, everything that is judged of them."""
+    """Moments of a tolerance study: 96 angles of an assembly, with all criteria."""
     from hd_diag.tolerance.evaluation import evaluate, warm_up
 
     warm_up()

@@ -1,4 +1,4 @@
-"""Times of calls: CPU time on one core, or by the clock on all that this process may use."""
+"""Times of calls: CPU time on one core, or wall time on all cores available to this process."""
 
 # ruff: noqa: D103
 
@@ -12,7 +12,7 @@ import time
 
 @contextlib.contextmanager
 def one_core():
-    """Keep this thread, and those that it starts, on one core."""
+    """Keep this thread, and the threads it starts, on one core."""
     before = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(before)})
     try:
@@ -22,7 +22,7 @@ def one_core():
 
 
 def cpu_time(function, *arguments) -> tuple[object, float]:
-    """What a call gives, and its CPU time on one core [s]."""
+    """Result of a call, and its CPU time on one core [s]."""
     with one_core():
         start = time.process_time()
         result = function(*arguments)
@@ -30,13 +30,13 @@ def cpu_time(function, *arguments) -> tuple[object, float]:
 
 
 def median_time(function, *arguments, budget: float = 1.0) -> float:
-    """Median CPU time of a call on one core [s], after one that is not counted."""
+    """Median CPU time of a call on one core [s]; a first call is not counted."""
     with one_core():
         return median(function, *arguments, budget=budget, clock=time.process_time)
 
 
 def wall_time(function, *arguments, budget: float = 1.0) -> float:
-    """Median time of a call that may use all cores [s], after one that is not counted."""
+    """Median wall time of a call that may use all cores [s]; a first call is not counted."""
     return median(function, *arguments, budget=budget, clock=time.perf_counter)
 
 

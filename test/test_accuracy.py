@@ -1,4 +1,4 @@
-"""The error from peak to peak, as a catalogue states it, of records whose error is a closed form."""
+"""Peak-to-peak error as a catalogue states it, for records whose error is a closed form."""
 
 from typing import Any
 
@@ -15,10 +15,10 @@ NOISE = 3.0  # [arcsec]
 
 
 def record(error: Any, seed: int = 0, turns: float = 1.2, noise: float = NOISE, rows: int = 6000) -> Record:
-    """There and back four times over some turns of the output, under a torque; the error [arcsec] is added.
+    """Four back-and-forth moves over some turns of the output under torque, with an error [arcsec].
 
-    It is a function of the input's angle [rad] and the torque over the rated one; torsion and friction of
-    300 and 20 arcsec are beside it.
+    `error` is a function of the input angle [rad] and the torque over the rated one. Torsion of 300 arcsec
+    and friction of 20 arcsec are added.
     """
     time = np.arange(rows) / 100.0
     angle = np.pi * turns * RATIO * (1.0 - np.cos(8.0 * np.pi * time / time[-1]))
@@ -41,7 +41,7 @@ def lobes(angle: np.ndarray, load: np.ndarray) -> np.ndarray:
 
 
 def torsion(load: np.ndarray) -> np.ndarray:
-    """A knee, and a loop between -1 and 1 that gives way over a tenth of the rated torque."""
+    """A knee, and a loop between -1 and 1 that builds up over a tenth of the rated torque."""
     state, loop = 0.0, []
     for change in np.diff(load, prepend=load[0]):
         state += 10.0 * (change - abs(change) * state)
@@ -51,15 +51,15 @@ def torsion(load: np.ndarray) -> np.ndarray:
 
 SHAPES: dict[str, tuple[Any, float]] = {
     "one wave": (lobes, 60.0),
-    # Greatest at 30 + 20, least at -50: waves of other speeds meet each other in all ways over a turn.
+    # Maximum 30 + 20, minimum -50: over a turn, waves of other speeds meet in all phases.
     "with a wave of the output": (lambda x, load: lobes(x, load) + 20.0 * np.cos(x / RATIO + 2.0), 100.0),
-    # cos 2x + cos 4x is 2 at zero and -9 / 8 where cos 2x = -1 / 4: no wave of its rms, 2.83.
+    # cos 2x + cos 4x ranges from -9/8 (cos 2x = -1/4) to 2 (x = 0). A wave of its rms would have range 2.83.
     "peaked": (lambda x, load: 20.0 * (np.cos(2.0 * x) + np.cos(4.0 * x)), 62.5),
-    # Ripple that goes with the torsion: without torque there is none of it.
+    # The ripple varies with the torsion and vanishes without torque.
     "under load": (lambda x, load: lobes(x, load) * (1.0 + load), 60.0),
-    # An eccentric gear's error turns round with the torque.
+    # The error of an eccentric gear changes sign with the torque.
     "by the flank": (lambda x, load: lobes(x, load) * np.tanh(load / 0.05), 60.0),
-    # Torsion of any shape is no error of the gear.
+    # Torsion of any shape is not an error of the gear.
     "beside torsion": (lambda x, load: lobes(x, load) + 50.0 * torsion(load), 60.0),
     "none": (lambda x, load: 0.0 * x, 0.0),
 }
@@ -84,14 +84,14 @@ def test_a_wave_that_was_found_counts_by_its_own_peaks() -> None:
 
 
 def test_a_wave_that_was_found_twice_counts_once() -> None:
-    """Two estimates of its order, apart by less than the record tells, leave no wave for either."""
+    """Two estimates of one order that differ by less than the record resolves must not remove the wave."""
     made = record(lambda x, load: lobes(x, load) + 6.0 * np.cos(0.225 * x))
     assert found(made, (0.225,)).value == pytest.approx(72.0, abs=1.0)
     assert found(made, (0.2249, 0.2251)).value == pytest.approx(72.0, abs=1.0)
 
 
 def test_a_drift_is_no_error_of_the_gear() -> None:
-    """It makes waves of the output's turn uncertain, and says so."""
+    """A drift makes waves of the output's turn uncertain, and the standard deviation shows this."""
 
     def drifting(angle: np.ndarray, load: np.ndarray) -> np.ndarray:
         return lobes(angle, load) + 50.0 * np.sin(np.linspace(0.0, 9.0, load.size))
@@ -102,7 +102,7 @@ def test_a_drift_is_no_error_of_the_gear() -> None:
 
 @pytest.mark.parametrize("phase", np.arange(0.0, 3.0, 0.5))
 def test_a_wave_that_torsion_by_gravity_explains_counts_at_no_phase(phase: float) -> None:
-    """The torque goes with the place alone: one wave of the output's turn and torsion are the same."""
+    """The torque depends on position only, so torsion and one wave of the output's turn are the same."""
     time = np.arange(6000) / 100.0
     angle = np.pi * 1.2 * RATIO * (1.0 - np.cos(8.0 * np.pi * time / time[-1]))
     load, noise = 0.4 * np.sin(angle / RATIO + phase), np.random.default_rng(0).standard_normal((2, 6000))
@@ -114,14 +114,14 @@ def test_a_wave_that_torsion_by_gravity_explains_counts_at_no_phase(phase: float
 
 
 def test_what_the_record_does_not_cover_is_told() -> None:
-    """Of a third of a turn, its own part of the shape: a slow wave looks like torsion and offsets there."""
+    """A third of a turn shows its own part of the shape; a slow wave looks like torsion and offsets there."""
     part = found(record(lobes, turns=0.3))
     assert part.turns == pytest.approx(0.3, abs=0.03)
     assert part.value == pytest.approx(60.0, abs=3.0)
 
 
 def test_a_whole_turn_may_be_gone_through_in_a_few_rows() -> None:
-    """All rows cover the turn, and hardly any one of the fewer by which the shape is drawn."""
+    """The turn is covered by all rows together, but hardly by the subset from which the shape is drawn."""
     rows, quick = 20_000, 150
     turns = np.concatenate((np.linspace(0.0, 0.2, rows - quick), np.linspace(0.2, 1.0, quick)))
     angle = 2.0 * np.pi * RATIO * turns

@@ -1,4 +1,4 @@
-"""Input and output angles in messages of their own: many at once give what one at a time gives."""
+"""Input and output angles in separate messages: batches must give the same result as single messages."""
 
 import random
 from pathlib import Path
@@ -22,7 +22,7 @@ from hd_diag.streams.alignment import Alignment, Names
 from hd_diag.streams.columns import JointStates
 from hd_diag.streams.rules import REMEMBERED
 
-# Names; which of position, velocity and effort there are.
+# Names, and which of position, velocity and effort are present.
 Shape = tuple[tuple[str, ...], str]
 INPUTS: Shape = (("a_motor", "b_motor"), "p")
 OUTPUTS: Shape = (("a", "b"), "pe")
@@ -40,7 +40,7 @@ SHAPES: dict[str, list[Shape]] = {
 
 
 class Message:
-    """One message: names, stamp and the values of its columns, None for those that it has not."""
+    """One message: names, stamp and the values of its columns, None for missing columns."""
 
     def __init__(self, shape: Shape, stamp: int, chance: random.Random, spoiled: float) -> None:
         self.names, self.stamp = shape[0], stamp
@@ -55,11 +55,11 @@ class Message:
             self.columns.append(values if what in shape[1] else None)
 
 
-LAGS = (0, 0, -MS // 3, 2 * MS)  # of the links' stamps [ns]
+LAGS = (0, 0, -MS // 3, 2 * MS)  # offsets of the links' stamps [ns]
 
 
 def drawn(kind, chance, count, disorder=0.0, spoiled=0.0, lags=(0,)) -> list[Message]:
-    """Messages in turn, some late, early, repeated or of a clock that was set back."""
+    """Messages in turn; some are late, early, repeated, or from a clock that was set back."""
     shapes, stamp, made = SHAPES[kind], START, []
     for number in range(count):
         stamp += chance.choice([MS // 2, MS, 3 * MS])
@@ -77,9 +77,9 @@ def cdr(message: Message) -> bytes:
 
 
 def play(monitor: Monitor, messages: list[Message], sizes, events=(), reports=()) -> tuple:
-    """Everything published, by topic, and the diagnostics, of messages taken so many at a time.
+    """Publications by topic and the diagnostics, for messages taken in batches of the given sizes.
 
-    Events and reports come before the messages of their numbers.
+    Events and reports come before the messages with their numbers.
     """
     recording, begin, turn, events = Recording(), 0, 0, dict(events)
     while begin < len(messages):
@@ -139,7 +139,7 @@ JUMP, GAP, HOLD = 1000 * MS, 50 * MS, 200 * MS
 
 
 class Walk:
-    """The rules in the plainest way: lists of everything, looked through from the start."""
+    """The rules in their simplest form: lists of everything, searched from the start."""
 
     def __init__(self) -> None:
         self.samples: list[tuple] = []
@@ -182,7 +182,7 @@ class Walk:
                 self.samples.append((at, self.stretch, angle, output, torque))
 
     def turned(self, name: str, angle: float) -> float:
-        """The angle with the turns of an encoder that has stayed within one turn up to here."""
+        """The unwrapped angle, for an encoder that has stayed within one turn so far."""
         self.reported[name].append(angle)
         angles = np.array(self.reported[name])
         steps = np.diff(angles[self.since[name] :])
@@ -246,7 +246,7 @@ def shape_of(row: int, stamp: int, given: dict[str, float]) -> JointStates:
 
 
 def test_an_input_that_is_divided_and_wraps() -> None:
-    """Reported at the output's side, at which it wraps: a hundred times as far at the wave generator's."""
+    """The input is reported on the output's side and wraps there; the factor of 100 comes afterwards."""
     streams, turns = Alignment([Names("m", "l", input_factor=100.0)]), np.linspace(0.0, 9.0, 40)
     wrapped = np.mod(turns + np.pi, 2.0 * np.pi) - np.pi
     given = [{"input": angle, "output": turn % 6.0} for angle, turn in zip(wrapped, turns, strict=True)]
@@ -256,7 +256,7 @@ def test_an_input_that_is_divided_and_wraps() -> None:
 
 
 def test_a_name_that_stands_twice_moves_no_other_column() -> None:
-    """The last of two counts, and the effort of the link is still the link's."""
+    """The last of two columns with the same name counts, and the link keeps its effort."""
     position, effort = np.array([[1.0, 2.0, 3.0]]), np.array([[4.0, 5.0, 6.0]])
     states = JointStates(np.array([0]), np.array([START]), ("m", "m", "l"), "", position, None, effort)
     found = Alignment([Names("m", "l")]).take(np.zeros(1, np.int64), [states])
@@ -264,7 +264,7 @@ def test_a_name_that_stands_twice_moves_no_other_column() -> None:
 
 
 def test_topics_that_alternate_are_as_one(tmp_path: Path) -> None:
-    """Motors and links on topics of their own; log times of both, two by two the same."""
+    """Motors and links on separate topics; pairs of messages share a log time."""
     outputs = []
     for name, topics in (("one", ("/joint_states", "/joint_states")), ("two", ("/motors", "/links"))):
         bag, out = tmp_path / f"{name}.mcap", tmp_path / f"{name}_out.mcap"

@@ -22,7 +22,7 @@ def joint_state_arguments(draw):
 
 
 def from_rosbags(data):
-    """What rosbags makes of a message: names, frame, stamp [ns], bytes of the three arrays."""
+    """A message as rosbags reads it: names, frame, stamp [ns], bytes of the three arrays."""
     message = jazzy().deserialize_cdr(data, JOINT_STATE)
     stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
     arrays = [np.asarray(v, "<f8").tobytes() for v in (message.position, message.velocity, message.effort)]
@@ -66,7 +66,7 @@ def test_constant_shape_is_one_group(count, joints, little_endian):
 
 
 def test_many_layouts_of_one_size():
-    """More layouts than are done at once."""
+    """More layouts than one pass decodes."""
     messages = [joint_state_cdr((f"joint_{i % 40:02d}",), i, (float(i),)) for i in range(200)]
     columns, rejected = decode_joint_states(np.frombuffer(b"".join(messages), np.uint8).reshape(200, -1))
     assert rejected == []
@@ -95,7 +95,7 @@ def test_malformed_among_good_messages(wrong):
     ],
 )
 def test_lengths_that_do_not_agree(arguments, reason):
-    """Only who needs them by names cares: `Alignment`, and signals that are mapped."""
+    """Only code that needs the values by names objects: `Alignment`, and mapped signals."""
     (columns,), rejected = decode_joint_states([joint_state_cdr(*arguments)])
     assert rejected == []
     assert [f"has {reason}"] == [text for number in range(3) if (text := columns.misfit(number))]
@@ -125,7 +125,7 @@ def test_every_cut_of_a_message_is_refused():
 @pytest.mark.parametrize("arrays", [((1.0,), (), ()), ((1.0,), (), (2.0,)), ((), (), ())])
 @pytest.mark.parametrize("padding", [1, 4, 7])
 def test_padding_behind_the_last_field_is_ignored(arrays, padding):
-    """As DDS does; rclpy writes such where velocity or effort is empty."""
+    """DDS adds such padding; rclpy writes it if velocity or effort is empty."""
     data = joint_state_cdr(("a",), 5, *arrays)
     padded = data + bytes(padding)
     (columns,), rejected = decode_joint_states([padded, padded])
@@ -136,7 +136,7 @@ def test_padding_behind_the_last_field_is_ignored(arrays, padding):
 
 @given(st.data())
 def test_damaged_messages_are_decoded_alike_or_refused(data):
-    """What is not refused is what rosbags makes of it; padding may hold anything."""
+    """Any accepted message is decoded as rosbags decodes it; padding may hold anything."""
     message = bytearray(joint_state_cdr(("a", "joint_2"), 5 * MS, (1.0, 2.0), (), (3.0, 4.0), "base"))
     for _ in range(data.draw(st.integers(1, 3))):
         message[data.draw(st.integers(0, len(message) - 1))] = data.draw(st.integers(0, 255))
@@ -149,7 +149,7 @@ def test_damaged_messages_are_decoded_alike_or_refused(data):
     if columns:
         try:
             expected = from_rosbags(bytes(message))
-        except AssertionError:  # it refuses what is left behind the last field
+        except AssertionError:  # rosbags refuses bytes after the last field
             return
         assert by_row(columns) == {0: expected}
 
@@ -162,7 +162,7 @@ def test_a_decoder_forgets_layouts_in_time():
 
 
 def test_malformed_messages_that_are_alike_are_refused_at_once():
-    """Each with its place, beside others of that size and between good ones."""
+    """Each keeps its row number, between good messages and others of the same size."""
     good = joint_state_cdr(("a",), 5, (1.0,))
     other = bytes([0, 7]) + bytes(8)
     rows = [bytes(10), good, other, bytes(10), b"", good, b"", bytes(10)] * 500

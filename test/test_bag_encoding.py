@@ -1,4 +1,4 @@
-"""Messages as bytes: exactly what rosbags serializes."""
+"""Messages as bytes, identical to those that rosbags serializes."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ text = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"])
 def test_joint_states_are_what_rosbags_serializes(data):
     names, frame = tuple(data.draw(st.lists(text, max_size=5))), data.draw(text)
     stamps = data.draw(st.lists(STAMPS, min_size=1, max_size=4))
-    shape = (len(stamps), len(names))  # an array of no joints is an empty array
+    shape = (len(stamps), len(names))  # an array for no joints is empty
     numbers = st.lists(st.floats(), min_size=shape[0] * shape[1], max_size=shape[0] * shape[1])
     arrays = [data.draw(st.none() | numbers.map(lambda v: np.reshape(v, shape))) for _ in range(3)]
     encoded = encode_joint_states(names, stamps, *arrays, frame_id=frame)
@@ -89,7 +89,7 @@ def test_wrong_shapes_and_stamps_beyond_ros_time_are_refused():
 
 
 def test_strided_stamps_and_values_need_no_other_machine_code() -> None:
-    """As a message of several joints has them; a node would stop for seconds to compile."""
+    """A message of several joints has strided columns; a node would stop for seconds to compile."""
     stamps, values = np.arange(6) * 10**9, np.arange(24.0).reshape(6, 4)
     expected = encode_joint_states(("a", "b"), stamps[::2].copy(), values[::2, ::2].copy())
     known = len(kernel().write.signatures)

@@ -1,4 +1,4 @@
-"""What is in a bag beside messages in CDR, definitions in IDL, and files that are no bags."""
+"""Other contents of bags: messages not in CDR, definitions in IDL, and files that are no bags."""
 
 import gzip
 import json
@@ -40,8 +40,8 @@ JOINTS = [
     ("/joint_states", JOINT_STATE, row.tobytes(), int(now)) for row, now in zip(STATES, STAMPS, strict=True)
 ]
 ONE = resolve({}).joints[0]
-BINARY = bytes(range(256))  # as a schema of protobuf is
-# Encoding of messages; encoding, name and text of the schema, if there is one; a message.
+BINARY = bytes(range(256))  # like a schema of protobuf
+# Encoding of messages; encoding, name and text of the schema, if any; a message.
 FOREIGN: dict[str, tuple[str, tuple[str, str, bytes] | None, bytes]] = {
     "json": ("json", ("jsonschema", "cell.Status", b'{"type": "object"}'), b'{"on": true}'),
     "protobuf": ("protobuf", ("protobuf", "cell.Status", BINARY), BINARY),
@@ -71,7 +71,7 @@ def mcap_with(path: Path, kind: str) -> Path:
 
 
 def database(folder: Path, *updates: str, given: Sequence[Message] = JOINTS) -> Path:
-    """A rosbag2 folder, its database changed afterwards by SQL."""
+    """A rosbag2 folder whose database is then changed by SQL."""
     with closing(sqlite3.connect(rosbag2_folder(folder, given) / f"{folder.name}.db3")) as db:
         for update in updates:
             db.execute(update)
@@ -80,7 +80,7 @@ def database(folder: Path, *updates: str, given: Sequence[Message] = JOINTS) -> 
 
 
 def database_with(path: Path, kind: str) -> Path:
-    """As rosbag2 has it: the format of a topic in its table."""
+    """A bag like rosbag2's: its table gives the format of each topic."""
     encoding, schema, data = FOREIGN[kind]
     given = [each for own in JOINTS for each in (("/cell", "std_msgs/msg/String", data, own[3]), own)]
     own_format = f"serialization_format = '{encoding}', type = '{schema[1] if schema else ''}'"
@@ -186,7 +186,7 @@ float64 angle
 
 
 def test_parts_of_idl_are_the_types_that_messages_are() -> None:
-    """The type's hash stands for all of its fields; a message is read alike."""
+    """Type hashes cover all fields, and a message reads the same with either definition."""
     name = "acme_msgs/msg/Drive"
     header = f"{LINE}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
     time = f"{LINE}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
@@ -204,7 +204,7 @@ def test_parts_of_idl_are_the_types_that_messages_are() -> None:
     assert_array_equal(found.torque, [2.0, 3.0])
 
 
-# Compression, and files that are none ---
+# Compression, and files that are no bags ---
 
 
 @pytest.mark.parametrize("plugin", list(StoragePlugin))
@@ -222,7 +222,7 @@ def test_compressed_messages_need_no_metadata(plugin: StoragePlugin, tmp_path: P
 
 
 def test_what_only_begins_as_if_compressed_is_left_alone(tmp_path: Path) -> None:
-    """CDR has a zero first; other bytes are no CDR, whatever they are."""
+    """CDR starts with a zero; other bytes are no CDR, whatever they are."""
     data = [b"(", b"(x", b"", b"(\xb5/", STATES[0].tobytes()]
     given = [("/j", JOINT_STATE, each, i) for i, each in enumerate(data)]
     with BagReader(write_with_mcap(tmp_path / "a.mcap", given)) as reader:
@@ -282,7 +282,7 @@ print(read(sys.argv[2]), recover(sys.argv[2], "saved.mcap").counts, peak() - bef
 @pytest.mark.skipif(not hasattr(sqlite3.Connection, "blobopen"), reason="Python 3.10 reads rows whole")
 @pytest.mark.parametrize("content", ["zeroblob(100000000)", "hex(zeroblob(50000000))"])
 def test_what_sqlite_takes_for_a_long_row_is_bounded_too(content: str, tmp_path: Path) -> None:
-    """Of 100 MB, as BLOB and as text, of which it reads all to say how long it is."""
+    """Rows of 100 MB, as BLOB and as text: SQLite reads all of a text to find its length."""
     database(tmp_path / "plain")
     database(tmp_path / "long", f"UPDATE messages SET data = {content} WHERE id = 150")
     code = [sys.executable, "-c", PEAK_OF_READING, "plain", "long", "/joint_states"]
@@ -300,7 +300,7 @@ def test_a_definition_that_would_fill_the_memory_is_refused(tmp_path: Path) -> N
 
 
 def test_a_row_that_would_fill_the_memory_is_refused_alone(tmp_path: Path) -> None:
-    """Of 100 MB, beside rows that can be read; it is no message where it is decoded."""
+    """A row of 100 MB among readable rows is rejected when it is decoded."""
     bag = database(tmp_path / "bag", "UPDATE messages SET data = zeroblob(100000000) WHERE id = 150")
     motion, peak = peak_of(lambda: read_motion([bag], ONE))
     assert (motion.time.size, motion.stamps.refused) == (COUNT - 1, 1)
@@ -308,7 +308,7 @@ def test_a_row_that_would_fill_the_memory_is_refused_alone(tmp_path: Path) -> No
 
 
 def test_a_row_that_was_too_long_is_told_with_its_size(tmp_path: Path) -> None:
-    """Also in a topic of which nothing else can be read."""
+    """The size is reported even if the topic has no readable message."""
     bag = database(tmp_path / "bag", "UPDATE messages SET data = zeroblob(33554433)", given=JOINTS[:1])
     told = hd_diag("topics", bag).output
     assert "has 33554433 bytes, more than the 33554432 that are read" in told

@@ -1,4 +1,4 @@
-"""Hostile bags: always BagError, in bounded time and memory."""
+"""Hostile bags always lead to BagError, in bounded time and memory."""
 
 import itertools
 import random
@@ -57,7 +57,7 @@ def bag(*parts):
 def test_the_parts_make_a_bag(tmp_path):
     path = tmp_path / "a.mcap"
     content = topic() + message()
-    stream = zstandard.ZstdCompressor().compressobj()  # leaves the size out of the frame
+    stream = zstandard.ZstdCompressor().compressobj()  # omits the size from the frame
     streamed = chunk(content, "zstd", stored=stream.compress(content) + stream.flush())
     zstd = chunk(content, "zstd", stored=zstandard.compress(content))
     path.write_bytes(bag(chunk(content), zstd, message()))
@@ -123,7 +123,7 @@ for name in HOSTILE:
 
 
 def test_hostile_files_are_refused_or_read_in_part_in_little_memory(tmp_path):
-    """1 GiB of address space is enough for them; Python and its libraries take most of it."""
+    """1 GiB of address space suffices; Python and its libraries use most of it."""
     script = LIMITED.format(test=str(Path(__file__).parent), limit=1 << 30, path=str(tmp_path / "a.mcap"))
     lines = "".join(make().hex() + "\n" for make in HOSTILE.values())
     command = [sys.executable, "-c", script]
@@ -153,7 +153,7 @@ def test_hostile_names_stay_on_one_line(tmp_path):
 
 
 def recovered(path, out):
-    """A copy is what it is said to be, where one is made."""
+    """Check that a copy, if one is made, holds what the report says."""
     try:
         report = recover(path, out, overwrite=True)
     except BagError:
@@ -193,7 +193,7 @@ def test_damaged_databases(tmp_path):
 
 @pytest.mark.parametrize("suffix", [".db3", ".mcap"])
 def test_bombs_as_compressed_files(tmp_path, scratch, monkeypatch, suffix):
-    """The disk is not filled by what claims to be a bag, nor is anything left."""
+    """A file that only claims to be a bag does not fill the disk, and no temporary file remains."""
     monkeypatch.setattr("hd_diag.bag.folder._UNPACKED_LEAST", 1 << 20)
     path = tmp_path / f"a{suffix}.zstd"
     packed_zeros = bomb(1 << 26)
@@ -238,12 +238,12 @@ def test_hostile_yaml_inside_a_file(tmp_path):
         assert recover(path, tmp_path / "b.mcap", overwrite=True).counts == {"/n": 1}
 
 
-# Small files that claim much ---
+# Small files that claim large contents ---
 
 
 @pytest.mark.parametrize("finished", [True, False])
 def test_chunks_that_unpack_to_far_more_than_is_stored_are_not_unpacked(tmp_path, finished):
-    """Each claims its size honestly; unpacked they hold 130 MB of messages."""
+    """Each chunk states its true size; unpacked they hold 130 MB of messages."""
     content = topic() + message() * ((65 << 20) // len(message()))
     bomb = chunk(content, "zstd", stored=zstandard.compress(content))
     path = tmp_path / "a.mcap"
@@ -277,7 +277,7 @@ def test_a_compressed_message_that_unpacks_to_far_more_is_refused(tmp_path):
 
 
 def test_a_chunk_of_records_that_are_none_takes_no_memory(tmp_path, monkeypatch):
-    """Zeros are records of opcode 0 and no content; unknown records are passed over, but not for ever."""
+    """Zeros are empty records of opcode 0. The reader skips unknown records, but only up to a limit."""
     path = tmp_path / "a.mcap"
     monkeypatch.setattr("hd_diag.bag.mcap_chunk._MAX_RECORDS", 50_000)
     for unknown, count in ((bytes(9), 10), (b"\x80" + bytes(8), 50_001), (message(data=b""), 50_001)):
@@ -303,7 +303,7 @@ def test_a_huge_message_outside_of_chunks_is_not_read(tmp_path):
 
 
 def test_many_small_messages_take_little_memory_to_recover(tmp_path):
-    """Of equal times, which reading in their order would hold all at once."""
+    """All messages have the same time, so reading in time order would hold all of them at once."""
     content = topic() + b"".join(message(data=bytes(4 + i % 2)) for i in range(60_000))
     path = tmp_path / "a.mcap"
     path.write_bytes(bag(chunk(content, "zstd", stored=zstandard.compress(content))))

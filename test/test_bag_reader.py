@@ -36,7 +36,7 @@ from hd_diag.messages.schemas import definition
 
 
 def sample(count=400, disorder=0):
-    """Two topics that alternate; `disorder` moves log times by up to that many places."""
+    """Two alternating topics; `disorder` moves log times by up to that many places."""
     block, stamps = rows(count)
     messages = [("/joint_states", JOINT_STATE, block[i].tobytes(), int(stamps[i])) for i in range(count)]
     messages += [("/note", STRING, string_cdr(f"n{i}" * (i % 3)), int(stamps[i])) for i in range(count)]
@@ -59,7 +59,7 @@ def read(path, *args, **keywords):
 
 
 def taken_at_once(patch, size):
-    """Have content loaded and released in pieces of a size."""
+    """Load and release content in pieces of a size."""
     for name in ("mcap_chunk.PIECE", "mcap_storage.PIECE", "mcap_scan.LARGE"):
         patch.setattr(f"hd_diag.bag.{name}", size)
 
@@ -77,13 +77,13 @@ COMPRESSIONS, ENDS = ("zstd", "lz4", "none"), ("whole", "without summary", "cut 
 @pytest.mark.parametrize(
     ("chunk_size", "compression", "end"),
     [
-        (size, compression, ENDS[(i + j) % 3])  # every pair of them
+        (size, compression, ENDS[(i + j) % 3])  # covers every pair
         for i, size in enumerate((200, 5000, 0))
         for j, compression in enumerate(COMPRESSIONS)
     ],
 )
 def test_any_chunking(tmp_path, compression, chunk_size, end):
-    """Whether a file has indexes and a summary or not; 0: without chunks."""
+    """Files with and without indexes, summary and end; chunk size 0 means no chunks."""
     options = dict.fromkeys(("indexes", "summary"), end != "without summary") | {"chunked": bool(chunk_size)}
     messages = sample(100, disorder=30)
     path = tmp_path / "a.mcap"
@@ -152,7 +152,7 @@ def contents(folder):
 
 
 def crashed(folder, out, mode, before, *, spilled=()):
-    """Copy of a folder to which `NOTES` were added by one who was killed: some before all others stand."""
+    """Copy of a folder to which a killed process added `NOTES`; only the first `before` have a checkpoint."""
     shutil.copytree(folder, out.with_suffix(".live"))
     with closing(sqlite3.connect(out.with_suffix(".live") / "bag.db3")) as db:
         db.execute("PRAGMA cache_size=1")
@@ -175,7 +175,7 @@ SPILLED = [(i, bytes(4000)) for i in range(500)]
     ("mode", "before", "spilled"), [("WAL", 0, ()), ("WAL", 150, ()), ("DELETE", 150, SPILLED)]
 )
 def test_a_database_that_a_crash_left(tmp_path, scratch, mode, before, spilled):
-    """What stands in the file beside it counts, or is taken back, and nothing is changed or left behind."""
+    """A log or journal beside the file counts or is rolled back; nothing changes or remains."""
     bag = notes_folder(tmp_path / "bag", notes=NOTES[:1])
     bag = crashed(bag, tmp_path / "left", mode, before, spilled=spilled)
     (bag / "bag.db3-shm").unlink(missing_ok=True)
@@ -191,7 +191,7 @@ def test_a_database_that_a_crash_left(tmp_path, scratch, mode, before, spilled):
 
 
 def test_a_database_in_wal_mode_that_was_closed(tmp_path):
-    """SQLite itself would make files beside it to read it."""
+    """SQLite itself would create files beside the database to read it."""
     bag = notes_folder(tmp_path / "bag")
     with closing(sqlite3.connect(bag / "bag.db3")) as db:
         db.execute("PRAGMA journal_mode=WAL")
@@ -232,7 +232,7 @@ def test_files_compressed_as_a_whole(tmp_path, scratch, plugin):
 
 
 def test_a_compressed_file_that_was_decompressed_since_or_by_another_way(tmp_path):
-    """The metadata still names the compressed one; where both are there they are one."""
+    """The metadata still names the compressed file; two files with the same content count once."""
     bag = notes_folder(tmp_path / "bag", compressed=True)
     file = bag / "bag.db3.zstd"
     (bag / "bag.db3").write_bytes(zstandard.ZstdDecompressor().stream_reader(file.read_bytes()).read())
@@ -314,7 +314,7 @@ def test_times_that_are_none_are_told(tmp_path, value):
 
 
 def test_a_split_folder_with_wrong_metadata_is_read_in_order(tmp_path):
-    """What it leaves out is read, what is not there is told, and nothing outside of the folder is."""
+    """Unlisted files are read, missing ones are reported, and no file outside the folder is opened."""
     block, stamps = rows(1200)
     for path, split in ((tmp_path / "secret.mcap", 0.0), (tmp_path / "bag", 0.1)):
         with BagWriter(path, max_duration=split) as writer:
@@ -332,7 +332,7 @@ def test_a_split_folder_with_wrong_metadata_is_read_in_order(tmp_path):
 
 
 def test_types_come_from_the_file(tmp_path):
-    """A type of that name that ROS does not know, and a JointState with one more field."""
+    """A type unknown to ROS, and a JointState with an additional field."""
     text = "float64 mass\nstring[] labels\n"
     longer = definition(JOINT_STATE).text.replace("[] effort\n", "[] effort\nfloat64 voltage\n", 1)
     with (tmp_path / "a.mcap").open("wb") as file:
@@ -377,7 +377,7 @@ def in_chunks_of_20(path, times):
 
 
 def test_what_is_held_back_for_sorting_is_bounded(tmp_path, monkeypatch):
-    """Every chunk spans the whole time: nothing can be released before the last one was read."""
+    """Every chunk spans the whole time, so no message can be released before the last chunk is read."""
     times = MS // 10 * np.random.default_rng(5).permutation(2000)
     path = in_chunks_of_20(tmp_path / "a.mcap", times)
     for size in (1 << 20, 1):
@@ -390,9 +390,9 @@ def test_what_is_held_back_for_sorting_is_bounded(tmp_path, monkeypatch):
 
 
 def test_stragglers_do_not_keep_their_chunks_in_memory(tmp_path, monkeypatch):
-    """One late time in each chunk is held back alone, not with the buffer of its chunk."""
+    """One late message in each chunk waits alone, without the buffer of its chunk."""
     times = MS // 10 * np.arange(2000)
-    times[::20] += 2 * 10**8  # [ns]; more would be a recorder's clock that is set back
+    times[::20] += 2 * 10**8  # [ns]; more would be a clock set back
     path = in_chunks_of_20(tmp_path / "a.mcap", times)
     taken_at_once(monkeypatch, 1)
     monkeypatch.setattr("hd_diag.bag.mcap_storage._MAX_HELD", 40_000)
@@ -409,7 +409,7 @@ def test_endless_queries_are_stopped(tmp_path, monkeypatch):
 
 
 def test_messages_from_before_the_start_that_their_chunk_declares(tmp_path, monkeypatch):
-    """Old writers gave a chunk the time of its first message, not the least."""
+    """Old writers gave a chunk the time of its first message instead of the earliest."""
     given = [("/n", STRING, string_cdr("x" * 300), time) for time in (5, 6, 8, 7, 4)]
     path = write_with_mcap(tmp_path / "a.mcap", given, chunk_size=500)
     path.write_bytes(sealed(path.read_bytes().replace(struct.pack("<QQ", 4, 7), struct.pack("<QQ", 7, 7))))
@@ -422,7 +422,7 @@ def test_messages_from_before_the_start_that_their_chunk_declares(tmp_path, monk
 
 
 def digest(path):
-    """Checksums of the topics, times and contents of a bag, in the order in which they are read."""
+    """Checksums of the topics, times and contents of a bag, in reading order."""
     sums = [0, 0, 0]
     with BagReader(path) as reader:
         for batch in reader.batches():
@@ -447,7 +447,7 @@ def write_large(path, chunk_size, compression="zstd"):
     "compression", ["lz4", *(pytest.param(c, marks=pytest.mark.slow) for c in ("zstd", "none"))]
 )
 def test_a_large_chunk_is_read_in_parts(tmp_path, compression):
-    """What is read is what several chunks hold, whether the file is finished or not."""
+    """The result is the same as with several chunks, whether the file is finished or not."""
     one = write_large(tmp_path / "one.mcap", 1 << 30, compression)
     expected = digest(write_large(tmp_path / "many.mcap", 1 << 20))
     assert digest(one) == expected
@@ -458,15 +458,15 @@ def test_a_large_chunk_is_read_in_parts(tmp_path, compression):
 
 @pytest.fixture
 def large():
-    """40 MB of messages that nothing compresses."""
+    """40 MB of incompressible messages."""
     return np.random.default_rng(3).integers(0, 256, (10_000, 4000), np.uint8)
 
 
 @pytest.mark.parametrize("step", [1, -1])
 def test_a_large_chunk_takes_the_memory_of_its_parts(tmp_path, large, step):
-    """Whole it would be there three times: stored, decompressed in pieces, and these joined.
+    """A whole chunk would need its size three times: stored, decompressed in pieces, and joined.
 
-    One in which times go back is sorted.
+    A chunk with decreasing times is sorted.
     """
     with BagWriter(tmp_path / "a.mcap", chunk_size=1 << 30, flush_period=1e9) as writer:
         writer.write_many("/n", STRING, large, np.arange(10_000)[::step])
@@ -477,7 +477,7 @@ def test_a_large_chunk_takes_the_memory_of_its_parts(tmp_path, large, step):
 
 
 def test_a_large_chunk_of_one_topic_after_the_other_takes_no_more(tmp_path, large, monkeypatch):
-    """It is unpacked on the disk, for its parts are not read in the order in which they stand."""
+    """The chunk is unpacked to disk, because its parts are not read in stored order."""
     with BagWriter(tmp_path / "a.mcap", chunk_size=1 << 30, flush_period=1e9) as writer:
         for topic, times in (("/a", np.arange(0, 10_000, 2)), ("/b", np.arange(1, 10_000, 2))):
             writer.write_many(topic, STRING, large[times], times)
@@ -501,7 +501,7 @@ def test_a_large_chunk_that_is_cut_off_gives_what_is_there(tmp_path):
     cut_end(one, tmp_path / "cut.mcap", keep=20_000_000)
     counts = recover(tmp_path / "cut.mcap", tmp_path / "again.mcap").counts
     assert counts["/large"] == 1
-    assert counts["/n"] == (20_000_000 - 6_001_000) // 4031  # but the schemas and the other message
+    assert counts["/n"] == (20_000_000 - 6_001_000) // 4031  # without schemas and the other message
 
 
 def test_damage_in_a_large_chunk_is_found_before_any_of_it_is_used(tmp_path):

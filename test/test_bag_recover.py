@@ -68,7 +68,7 @@ def test_every_closed_chunk_is_saved_wherever_the_file_ends(tmp_path, compressio
 
 @pytest.mark.parametrize("compression", ["lz4", "none", "zstd"])
 def test_part_of_the_open_chunk(tmp_path, compression):
-    """Chunks are compressed in blocks: what precedes the cut by a block can be read."""
+    """Chunks are compressed in blocks: all content up to one block before the cut is readable."""
     given = messages(20_000)
     path = write_with_mcap(tmp_path / "a.mcap", given, compression=compression, chunk_size=8 << 20)
     (section,) = sections_of(path)
@@ -134,7 +134,7 @@ def test_chunks_behind_a_damaged_length_are_found(tmp_path, compression):
     recover(path, tmp_path / "b.mcap")
     survivors = [m for m in expected(messages()) if not sections[3].start <= m[1] <= sections[3].end]
     saved = read(tmp_path / "b.mcap")
-    # Of the chunk itself an uncompressed or partly readable content may be saved as well.
+    # An uncompressed or partly readable chunk may itself yield messages.
     assert [m for m in saved if m in survivors] == survivors
     assert saved == [m for m in expected(messages()) if m in saved]
 
@@ -195,7 +195,7 @@ def test_a_compressed_message_that_is_damaged_costs_only_itself(tmp_path):
 
 
 def test_offers_times_and_unknown_types_are_kept(tmp_path):
-    """Profiles in the numbers that were written before version 9 come out as names."""
+    """QoS profiles written as numbers before version 9 become names."""
     infinite = {"sec": 9223372036, "nsec": 854775807}
     same = {"depth": 7, "deadline": {"sec": 1, "nsec": 2}, "avoid_ros_namespace_conventions": False}
     same |= {"lifespan": infinite, "liveliness_lease_duration": infinite}
@@ -241,14 +241,14 @@ def test_a_whole_bag_without_messages_stays_one(tmp_path):
 
 
 def test_messages_without_a_declared_topic_are_counted(tmp_path):
-    """The chunk with the schemas is damaged, and there is no summary that repeats them."""
+    """The chunk with the schemas is damaged, and no summary repeats them."""
     path = write_with_mcap(tmp_path / "a.mcap", messages(), chunk_size=6000)
     data = bytearray(path.read_bytes())
     data[sections_of(path)[0].offset + 20] ^= 1
     path.write_bytes(data)
     report = recover(cut_end(path, tmp_path / "b.mcap"), tmp_path / "c.mcap")
     assert report.counts == {}
-    assert 500 < report.files[0].lost < 600  # how many the damaged chunk held is not known
+    assert 500 < report.files[0].lost < 600  # the damaged chunk's count is unknown
     assert not (tmp_path / "c.mcap").exists()
     assert any("no topic" in p for p in report.files[0].problems)
 
@@ -266,11 +266,11 @@ def test_a_bag_that_does_not_read_back_is_an_error(tmp_path, monkeypatch):
     with pytest.raises(BagError, match="holds 19 messages instead of 20"):
         recover(path, tmp_path / "b.mcap")
     with BagReader(tmp_path / "b.mcap") as reader:
-        assert reader.problems  # it does not pass for whole either
+        assert reader.problems  # the copy must not pass as whole
 
 
 def full_after(size, monkeypatch):
-    """A disk that has so much room for each file [byte]."""
+    """Simulate a disk with limited room for each file [byte]."""
     write = os.write
 
     def limited(fd, data):
@@ -284,7 +284,7 @@ def full_after(size, monkeypatch):
 
 @pytest.mark.parametrize("name", ["b.mcap", "b"])
 def test_a_full_disk_leaves_nothing_that_passes_for_whole(tmp_path, monkeypatch, name):
-    """Not even where there is room for the end of the file after all; an older result stays."""
+    """The copy is incomplete even if the end of the file fits afterwards; an older result stays."""
     path, old = write_with_mcap(tmp_path / "a.mcap", messages(20_000)), tmp_path / "old.mcap"
     write_with_mcap(old, messages(3))
     before = old.read_bytes()
@@ -300,7 +300,7 @@ def test_a_full_disk_leaves_nothing_that_passes_for_whole(tmp_path, monkeypatch,
     assert old.read_bytes() == before
     assert recover(path, old, overwrite=True).out == [old]
     assert len(read(old)) == 20_000
-    # On a busy machine a chunk that is closed by its age may fit on the disk.
+    # On a busy machine, a chunk closed by its age may fit on the disk.
     assert {p.name for p in tmp_path.iterdir()} - {"c.mcap"} == {"a.mcap", name, "old.mcap"}
 
 
@@ -321,7 +321,7 @@ def test_a_message_with_an_impossible_time_costs_only_itself(tmp_path, chunked):
 
 
 def test_a_damaged_summary_is_told(tmp_path):
-    """Whatever bit of it: here of a topic's name, and of a count."""
+    """Any bit of it may be damaged: here one in a topic's name, and one in a count."""
     path = write_with_mcap(tmp_path / "a.mcap", messages(50), chunk_size=4000)
     data = path.read_bytes()
     (summary,) = struct.unpack("<Q", data[-28:-20])
@@ -338,7 +338,7 @@ def test_a_damaged_summary_is_told(tmp_path):
 
 
 def test_what_stands_before_the_messages_holds_beside_a_damaged_summary(tmp_path):
-    """The summary's end is lost, and its checksum with it: it says that a topic is of no encoding."""
+    """The summary lost its end and its checksum, and it names no encoding for the topic."""
     path = write_with_mcap(tmp_path / "a.mcap", messages(50), chunked=False)
     data = bytearray(path.read_bytes())
     (summary,) = struct.unpack("<Q", data[-28:-20])
@@ -379,12 +379,12 @@ LONG = 14 << 20  # [byte]
 
 @pytest.fixture(scope="module")
 def long_message():
-    """A String as long as an image, which nothing compresses to a thousandth."""
+    """A String as long as an image, which no compression shrinks to a thousandth."""
     return string_cdr(np.random.default_rng(LONG).integers(32, 96, LONG, np.uint8).tobytes().decode())
 
 
 def with_long_messages(long, path, storage):
-    """A bag with two long messages among small ones: the place, and what is in it."""
+    """A bag with two long messages among small ones: its path and its messages."""
     given = messages(300)
     given[200:200] = [("/image", STRING, long, 199 * MS), ("/image", STRING, long, 200 * MS)]
     if storage in ("sqlite", "message"):
@@ -397,7 +397,7 @@ def with_long_messages(long, path, storage):
 
 @pytest.mark.parametrize("storage", ["zstd", "lz4", "none", "together", "no chunks", "sqlite", "message"])
 def test_long_messages_are_copied_bit_by_bit(tmp_path, long_message, storage):
-    """Nor are they held where another topic is read; `peak_of` sees all but what SQLite holds."""
+    """Long messages are not held while another topic is read; `peak_of` does not see SQLite's memory."""
     path, given = with_long_messages(long_message, tmp_path / "bag", storage)
     report, most = peak_of(lambda: recover(path, tmp_path / "saved.mcap"))
     assert report.complete
@@ -405,14 +405,14 @@ def test_long_messages_are_copied_bit_by_bit(tmp_path, long_message, storage):
     with BagReader(path) as reader:
         found, peak = peak_of(lambda: sum(len(batch) for batch in reader.batches(["/j"])))
         assert (found, reader.problems) == (300, [])
-    if hasattr(sqlite3.Connection, "blobopen") or "mcap" in path.suffix:  # Python 3.10 reads them whole
+    if hasattr(sqlite3.Connection, "blobopen") or "mcap" in path.suffix:  # Python 3.10 reads rows whole
         assert max(most, peak) < LONG
     with BagReader(tmp_path / "saved.mcap") as reader:
         assert [bytes(d) for b in reader.batches(["/image"]) for d in b.messages()] == [long_message] * 2
 
 
 def test_a_long_message_in_a_chunk_that_is_cut_off(tmp_path, long_message):
-    """Its own compression decides: what is whole before the cut is saved, the rest is told."""
+    """Messages that are complete before the cut are saved, and the rest is reported."""
     path, given = with_long_messages(long_message, tmp_path / "bag", "together")
     keep = path.stat().st_size * 7 // 10
     report = recover(cut_end(path, tmp_path / "b.mcap", keep=keep), tmp_path / "saved.mcap")
@@ -421,7 +421,7 @@ def test_a_long_message_in_a_chunk_that_is_cut_off(tmp_path, long_message):
 
 
 def test_a_disk_that_is_full_in_a_long_message(tmp_path, monkeypatch, long_message):
-    """Chunks of before stay, whole; what was begun is taken away."""
+    """Earlier chunks stay whole; the unfinished one is removed."""
     with BagWriter(tmp_path / "a.mcap", compression="none", chunk_size=1 << 20) as writer:
         writer.write("/n", STRING, string_cdr("before"), 1)
         writer.flush()

@@ -35,7 +35,7 @@ def read_raw(path):
 
 
 def written(path, count=300, **options):
-    """A bag with two topics; returns the writer and what it was given."""
+    """A bag with two topics; returns the writer and the messages written."""
     given = []
     with BagWriter(path, **options) as writer:
         for i, (row, stamp) in enumerate(zip(*rows(count), strict=True)):
@@ -109,7 +109,7 @@ def test_rows_and_single_messages_give_the_same_bytes(tmp_path, compression):
 @pytest.mark.parametrize("many", [False, True])
 @pytest.mark.parametrize("name", ["bag", "b.mcap"])
 def test_splits(tmp_path, many, name):
-    """By time and by size: one chunk with its index may be above the limit, and the summary on top."""
+    """Splits by time and by size; a chunk with its index and the summary may exceed the size limit."""
     block, stamps = rows(1000)
     by = {"max_duration": 0.3} if name == "bag" else {"max_size": 40_000, "chunk_size": 4000}
     with BagWriter(tmp_path / name, compression="none", **by) as writer:
@@ -130,7 +130,7 @@ def test_splits(tmp_path, many, name):
 
 @pytest.mark.parametrize("resumed", [False, True])
 def test_files_that_are_finished_take_no_memory(tmp_path, resumed):
-    """Neither those of a split nor those that a full disk ended: a log may have thousands."""
+    """This holds for files of a split and for files ended by an error: a log may have thousands."""
     data, sizes = string_cdr("x" * 50_000), []
     with BagWriter(tmp_path / "bag", max_duration=0.0 if resumed else 1e-9) as writer:
         tracemalloc.start()
@@ -219,13 +219,13 @@ def test_messages_wait_no_longer_than_the_flush_period(tmp_path):
         writer.write("/a", STRING, string_cdr("x"), 1)
     assert not writer.flush_if_due()
     with BagWriter(tmp_path / "b.mcap", flush_period=0.0) as writer:
-        for i in (2, 3):  # old messages are flushed by new ones
+        for i in (2, 3):  # new messages flush old ones
             writer.write("/a", STRING, string_cdr("x"), i)
     kept = StreamReader(str(tmp_path / "b.mcap"), emit_chunks=True).records
     assert sum(isinstance(record, Chunk) for record in kept) == 2
 
 
-# Writes in real time with a timer as the node does; tells each message once it was handed to the writer.
+# Writes in real time with a timer, as the node does; reports each message once the writer has it.
 RECORD = """
 import sys, time
 sys.path.insert(0, {test!r})
@@ -266,7 +266,7 @@ def test_kill_loses_less_than_a_second(tmp_path, turn):
     assert report.files[-1].problems
     block, _ = rows(4000)
     saved = read_raw(tmp_path / "saved.mcap") if report.out else []
-    # Nothing is missing before the end, and everything is as it was given.
+    # Nothing is missing before the end, and all messages are unchanged.
     assert [d for _, _, d in saved] == [block[i].tobytes() for i in range(len(saved))]
     assert [t for _, t, _ in saved][: len(told)] == [t for _, t in told][: len(saved)]
     lost = [t for i, t in told if i >= len(saved)]
@@ -275,7 +275,7 @@ def test_kill_loses_less_than_a_second(tmp_path, turn):
 
 @pytest.mark.parametrize("whole", [0, 7])
 def test_a_disk_that_is_full_for_one_write(tmp_path, monkeypatch, whole):
-    """The file is whole and ends with the last chunk before the error, though there is room again."""
+    """The file is whole and ends with the last chunk before the error, even if there is room again."""
     writer = BagWriter(tmp_path / "bag", chunk_size=2000)
     block, stamps = rows(600)
     writer.write_many("/j", JOINT_STATE, block[:60], stamps[:60])
@@ -297,7 +297,7 @@ def test_a_disk_that_is_full_for_one_write(tmp_path, monkeypatch, whole):
             again()
     assert not writer.flush_if_due(time.monotonic() + 9)
     writer.close()
-    in_a_chunk = -(-2000 // (block.shape[1] + 31))  # 31 bytes stand before each message
+    in_a_chunk = -(-2000 // (block.shape[1] + 31))  # a header of 31 bytes precedes each message
     saved = 60 + in_a_chunk * whole
     assert writer.counts == {"/j": saved}
     assert [d for _, _, d in read_raw(tmp_path / "bag")] == [row.tobytes() for row in block[:saved]]
@@ -307,7 +307,7 @@ def test_a_disk_that_is_full_for_one_write(tmp_path, monkeypatch, whole):
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, OSError])
 def test_an_error_leaves_a_file_without_its_end(tmp_path, monkeypatch, error):
-    """Of the caller, or of the disk at the end; Ctrl-C is none."""
+    """An error of the caller, or of the disk at the end; Ctrl-C is no error."""
 
     def interrupted():
         with BagWriter(tmp_path / "a.mcap") as writer:
@@ -345,7 +345,7 @@ def test_an_interrupt_while_writing_loses_nothing(tmp_path, monkeypatch):
                 patch.setattr(os, "write", interrupted)
                 writer.flush()
 
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # processes of the tests ignore it
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # the tests' processes ignore it
     try:
         with pytest.raises(KeyboardInterrupt):
             work()
@@ -355,7 +355,7 @@ def test_an_interrupt_while_writing_loses_nothing(tmp_path, monkeypatch):
 
 
 def test_next_file_that_cannot_be_made(tmp_path):
-    """A split that fails is an error of the writer, and the files before it are whole."""
+    """A failed split is an error of the writer, and the files before it are whole."""
     (tmp_path / "a_1.mcap").write_text("precious")
     block, stamps = rows(100)
     writer = BagWriter(tmp_path / "a.mcap", max_duration=0.05)
@@ -366,11 +366,11 @@ def test_next_file_that_cannot_be_made(tmp_path):
     assert [d for _, _, d in read_raw(tmp_path / "a.mcap")] == [row.tobytes() for row in block[:50]]
 
 
-# In place of an older bag ---
+# Replacement of an older bag ---
 
 
 def old_bag(path):
-    """A bag of three messages, in as many files where it is a folder; what lies there by name."""
+    """Write a bag of three messages (a folder gets three files); returns the contents by name."""
     with BagWriter(path, max_duration=1e-9 if path.suffix == "" else 0.0) as writer:
         writer.write_many("/old", STRING, [string_cdr("old")] * 3, [1, 2, 3])
     if path.is_dir():
@@ -439,7 +439,7 @@ def test_a_bag_that_is_being_written_is_not_replaced(tmp_path, name):
 
 
 def test_a_new_bag_is_written_in_its_place(tmp_path):
-    """It grows under its name, and after a crash it is there."""
+    """The bag grows under its final name, so it exists after a crash."""
     for name, overwrite in (("a.mcap", False), ("b", True)):
         with replaced(tmp_path / name, overwrite=overwrite) as place:
             assert place == tmp_path / name

@@ -1,6 +1,6 @@
-"""The benchmarks: the paper's method gives what the model gives; each script measures, and tells it.
+"""The benchmarks: the paper's method agrees with the model, and each script measures and reports.
 
-Their own speeds are not judged.
+The tests do not judge their speeds.
 """
 
 import importlib.util
@@ -32,7 +32,7 @@ import scoring  # noqa: E402
 
 
 def loaded(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """A script as a module; what it sets for its whole process is set back."""
+    """A script as a module; its process-wide settings are undone after the test."""
     for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
         monkeypatch.setenv(threads, "1")
     monkeypatch.setattr(sys, "path", [*sys.path])
@@ -73,7 +73,7 @@ def test_torsion_backlash_and_force(turn: float, eccentricity: complex, torque: 
     assert len(backlash) > 100
 
 
-MOMENTS_EACH = 12  # of a design; each takes the reference some 0.1 s
+MOMENTS_EACH = 12  # per design; each takes the reference about 0.1 s
 EACH = [SIZE_25, OTHERS[0], *(pytest.param(design, marks=pytest.mark.slow) for design in OTHERS[1:])]
 
 
@@ -87,7 +87,7 @@ def test_both_sides_mean_the_same_drive(design: Design) -> None:
 
 
 def test_suite_measures_and_tells(run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """One short section: its table on stdout, its figures as JSON; what meets an aim."""
+    """One short section: table on stdout, figures as JSON, and rows that meet or miss an aim."""
     suite, file = loaded("suite", monkeypatch), tmp_path / "results.json"
     told = run(suite, "--only", "tolerance", "--json", file)
     found = json.loads(file.read_text())
@@ -104,7 +104,7 @@ def test_suite_measures_and_tells(run, monkeypatch: pytest.MonkeyPatch, tmp_path
 
 @pytest.mark.parametrize("seconds", [0.0, pytest.param(math.inf, marks=pytest.mark.slow)])
 def test_one_record(run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, seconds: float) -> None:
-    """A spectrum's peaks beside it; the other methods where they are installed; seconds limit the search."""
+    """Spectral peaks are a baseline, like other installed methods; `seconds` limits the search."""
     monkeypatch.setattr(scoring, "diagnose", lambda *given: diagnose(*given, Work(seconds)))
     challenge, tables, figures = loaded("challenge", monkeypatch), tmp_path / "f.md", tmp_path / "f.json"
     monkeypatch.setattr(challenge, "ProcessPoolExecutor", lambda *_: ThreadPoolExecutor(1))

@@ -44,7 +44,7 @@ def test_an_envelope_loses_no_extreme(seed: int, count: int, stretches: int) -> 
 
 
 def test_ends_gaps_and_nan() -> None:
-    """The last bin has its end; a stretch without samples is nan, and samples that are nan do not count."""
+    """The last bin includes its end; a stretch without samples is nan, and nan samples do not count."""
     found = band(np.repeat([0.0, 1.0, 2.0], 5), np.ones(15), np.array([0.0, 1.0, 2.0]))
     assert_array_equal(found.samples, [5, 10])
     found = envelope(np.array([0.0, 0.1, 9.9, 10.0]), np.array([1.0, np.nan, 3.0, 2.0]), 4)

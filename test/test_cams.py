@@ -1,4 +1,4 @@
-"""Neutral curves on cams of every shape, against quadrature, polylines and a contact problem of their own."""
+"""Neutral curves on cams of all shapes, against quadrature, polylines and a separate contact problem."""
 
 import functools
 import math
@@ -35,11 +35,11 @@ def test_harmonics_of_the_ellipse_and_its_arc() -> None:
     assert np.all(away < [5e-13, 5e-13, 5e-15, 5e-15])
     a, b = ELLIPSE.semi_major, ELLIPSE.semi_minor
     mu, modulus = np.linspace(0, np.pi / 2, 50), 1 - (b / a) ** 2
-    t = np.arctan2(b * np.sin(mu), a * np.cos(mu))  # the ellipse's parameter where its normal is mu
+    t = np.arctan2(b * np.sin(mu), a * np.cos(mu))  # parameter of the ellipse at normal mu
     length = a * (ellipe(modulus) - ellipeinc(np.pi / 2 - t, modulus))
     k = 2 * np.arange(1, len(curve.harmonics) + 1)
     arc = curve.radius * mu + np.sin(np.outer(mu, k)) @ (np.array(curve.harmonics) * (1 - k**2) / k)
-    assert_allclose(arc, length, rtol=0, atol=1e-16)  # rounding of both
+    assert_allclose(arc, length, rtol=0, atol=1e-16)  # both have rounding errors
     angle, height, offset = tooth_axes(curve, length / curve.radius)
     assert_allclose(angle, mu, rtol=0, atol=1e-14)
     place = a * np.cos(t) + 1j * b * np.sin(t)
@@ -52,7 +52,7 @@ CASES = [(FourForces(R_B, W0, math.radians(d)), c) for d, c in published.FOUR_FO
 @pytest.mark.parametrize(("cam", "expected"), [(COSINE, published.COSINE_HARMONICS), *CASES])
 def test_harmonics_of_displaced_rings(cam: Cam, expected: tuple[float, ...]) -> None:
     found = curve_on(cam).harmonics[: len(expected)]
-    # Printed to five digits or to a hundredth of a micrometre's thousandth, whichever is less.
+    # Published to five digits or to 0.01 nm, whichever is coarser.
     assert_allclose(found, expected, rtol=5e-4, atol=6e-9)
 
 
@@ -73,8 +73,8 @@ def test_backlash_on_other_cams_against_polylines(cam: Cam, ring: object) -> Non
 
 
 def test_two_discs_against_a_contact_problem() -> None:
-    # The ring bends least beyond the discs: of all p >= that of a disc with a mean of R_b, the one whose
-    # radius of curvature differs least from R_b. A quarter, by finite differences.
+    # The ring bends as little as possible beyond the discs. Of all support functions p >= a disc's, with
+    # mean R_b, its curvature radius is closest to R_b. A quarter, by finite differences.
     mu = np.linspace(0, np.pi / 2, 181)
     step, n = mu[1], mu.size
     disc = DISCS.disc_radius + DISCS.disc_offset * np.cos(mu)
@@ -96,7 +96,7 @@ def test_two_discs_against_a_contact_problem() -> None:
 def test_points_of_a_cam_give_its_curve(center: complex) -> None:
     curve = curve_on(ELLIPSE)
     angle, height, offset = tooth_axes(curve, 2 * np.pi * np.arange(90) / 90)
-    point = (height - 1e-3 + 1j * offset) * np.exp(1j * angle) + center  # a parallel layer, off its centre
+    point = (height - 1e-3 + 1j * offset) * np.exp(1j * angle) + center  # a parallel layer, off centre
 
     def fitted(point: np.ndarray) -> Points:
         return Points(tuple(np.column_stack((np.angle(point), np.abs(point))).ravel().tolist()), 1e-3)
@@ -133,7 +133,7 @@ def test_a_curve_is_convex_or_refused(shape: str, share: float, angle: float, ra
 
 
 def check_layer(curve: NeutralCurve) -> None:
-    """Equal arcs lie between equal steps, along the normals' normals; the curve is convex and closed."""
+    """Equal steps give equal arcs along the tangent; the curve is convex and closed."""
     u, step = 2 * np.pi * np.arange(720) / 720, 1e-4
     (before, *_), (angle, height, _), (after, *_) = (tooth_axes(curve, u + d) for d in (-step, 0, step))
     assert (after - before > 0).all()
@@ -174,7 +174,7 @@ def test_a_dent_is_not_convex() -> None:
 
 
 def test_check_tells_how_far_measured_points_are_off(tmp_path: Path) -> None:
-    """Points of the ellipse, in turn 1 µm further out and in, which no cam's harmonics follow."""
+    """Points of the ellipse, alternately 1 µm outwards and inwards, which no cam's harmonics can follow."""
     angle, a, b = 2.0 * np.pi / 72 * np.arange(72), ELLIPSE.semi_major, ELLIPSE.semi_minor
     radius = a * b / np.hypot(b * np.cos(angle), a * np.sin(angle)) + 1e-6 * (-1.0) ** np.arange(72)
     points = np.column_stack((angle, radius)).ravel().tolist()

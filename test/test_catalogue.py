@@ -1,4 +1,4 @@
-"""The catalogue of effects in force: the package's, those of installed packages, those of files."""
+"""The active catalogue of effects: from the package, installed packages, and files."""
 
 import json
 import shutil
@@ -21,7 +21,7 @@ PINION = Path(__file__).resolve().parent.parent / "docs" / "examples" / "encoder
 
 @pytest.fixture
 def packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A folder of installed packages; entry points are looked up once a process."""
+    """A folder of installed packages; entry points are looked up once per process."""
     monkeypatch.syspath_prepend(tmp_path)
     catalogue._installed.cache_clear()
     yield tmp_path
@@ -30,7 +30,7 @@ def packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def installed(folder: Path, value: str) -> None:
-    """A package beside the example that declares an entry point."""
+    """Install a package with a copy of the example and an entry point."""
     shutil.copy(PINION, folder / "my_pinion.py")
     information = folder / "my_effects-1.0.dist-info"
     information.mkdir(exist_ok=True)

@@ -18,7 +18,7 @@ from numpy.testing import assert_allclose
 from reference import polyline
 from rosbags.typesys import Stores, get_typestore
 
-CLOSE = 0.05 * ARCSEC  # [rad], what the table may add to the brute force
+CLOSE = 0.05 * ARCSEC  # [rad], allowed error of the table against brute force
 ERRORS = Base(e=18e-6, psi=0.7, runout=4e-6, runout_psi=-2.0, datum=29.8766e-3, compliance=0.9e-6)
 ONE_RUN = motion.Motion((motion.Run(9.7, swing=50, period=1.6, duration=2.0),))
 
@@ -32,7 +32,7 @@ def reference_torsion(base: Base, angle: float, torque: float, **mesh: object) -
 
 
 SHIFTS = mesh.CircularSplinePitch(3e-6, 0.4).flaws(SIZE_25)
-# Tables of one other design are enough: each takes three seconds where no run has left it on the disk.
+# Tables of one other design suffice: each takes three seconds unless it is cached on the disk.
 EACH = [(design, [pytest.mark.slow] if place else []) for place, design in enumerate(OTHERS)]
 
 
@@ -64,7 +64,7 @@ def test_a_gear_that_has_skipped_a_tooth_meshes_as_before() -> None:
     before, after = (reference_torsion(ERRORS, 0.3, 20.0, arc_offset=s) for s in (0.0, tooth))
     slot = reference_torsion(ERRORS, 0.3, 20.0, arc_offset=tooth * 200 / 202)
     assert after == pytest.approx(before, abs=1e-11)
-    assert abs(slot - before) > 50 * ARCSEC  # 360°/202 would not be a place of rest
+    assert abs(slot - before) > 50 * ARCSEC  # 360°/202 is not a stable place
     jump = mesh.ToothSkip(0.01, -1.0).added(records.scene(ONE_RUN, np.array([0.0, 0.02])))
     assert_allclose(jump, [0, -2 * np.pi / 200])
 
@@ -76,7 +76,7 @@ def test_one_tooth_and_one_slot_return_in_their_own_time() -> None:
     whole = Gear(ERRORS).torsion(turn, 40.0)
     assert_allclose(slot.torsion(turn + 2 * np.pi, 40.0), slot.torsion(turn, 40.0), atol=1e-11)
     assert_allclose(tooth.torsion(turn + 200 * np.pi, 40.0), tooth.torsion(turn, 40.0), atol=1e-11)
-    before = Gear(ERRORS, mesh.ToothDamage(20e-6, 20, "flexspline").flaws(SIZE_25))  # two teeth a turn
+    before = Gear(ERRORS, mesh.ToothDamage(20e-6, 20, "flexspline").flaws(SIZE_25))  # two teeth per turn
     assert_allclose(tooth.torsion(turn + 10 * np.pi, 40.0), before.torsion(turn, 40.0), atol=1e-11)
     assert np.abs(tooth.torsion(turn, 40.0) - before.torsion(turn, 40.0)).max() > 1 * ARCSEC
     assert 1 * ARCSEC < np.max(slot.torsion(turn, 40.0) - whole) < 10 * ARCSEC
@@ -88,7 +88,7 @@ def test_worn_flanks_let_the_torsion_grow_by_what_is_missing() -> None:
     angle = np.linspace(0, 1, 20)
     for torque in (-30.0, 30.0):
         more = np.sign(torque) * (worn.torsion(angle, torque) - whole.torsion(angle, torque))
-        assert np.all((more > 2e-6 / 31.1e-3) & (more < 2e-6 / 27e-3))  # over the arm r cos alpha
+        assert np.all((more > 2e-6 / 31.1e-3) & (more < 2e-6 / 27e-3))  # over the lever arm r cos alpha
 
 
 def test_a_drive_outside_the_table_is_refused() -> None:
@@ -201,7 +201,7 @@ def test_every_cause_enters_somewhere_and_can_be_found(table: int, name: str) ->
         cause.delay,
         sum(np.abs(value).max() for value in vars(cause.flaws(SIZE_25) or Flaws()).values()),
     ]
-    assert max(enters) > 1e-9 or name == "loose_hub"  # which needs a second run
+    assert max(enters) > 1e-9 or name == "loose_hub"  # needs a second run
 
 
 def test_a_seed_gives_one_record_and_final_ones_are_apart() -> None:
@@ -229,7 +229,7 @@ def test_families_hide_what_they_say() -> None:
 
 
 def test_by_current_nothing_is_hidden_in_the_reading_of_a_torque_sensor() -> None:
-    """Amperes are what the motor needs: no reading of the link's torque is in them."""
+    """Motor current measures what the motor needs, so no fault may act on a torque sensor's reading."""
     rng, row = np.random.default_rng(0), families.FAMILIES["robot_current"]
     moves = row.motion(rng, SIZE_25)
     made = [faults.sized(rng, fault, moves)[0] for fault in row.faults.values()]

@@ -86,7 +86,7 @@ def test_inertia_swings_as_its_transfer_function_says(frequency: float) -> None:
     r = frequency / 20.0
     expected = (1 + 0.16j * r) / (1 - r**2 + 0.16j * r)
     swing = 2 * np.mean(found * np.exp(-1j * angle[5000:]))
-    assert swing == pytest.approx(expected, rel=0.03)  # straight between samples
+    assert swing == pytest.approx(expected, rel=0.03)  # linear between samples
 
 
 @pytest.mark.parametrize(

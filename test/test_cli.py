@@ -1,4 +1,4 @@
-"""The command line: every verb's help, exit codes, one-line errors, and what `mesh --json` says."""
+"""The command line: help of every verb, exit codes, one-line errors, and the content of `mesh --json`."""
 
 import contextlib
 import gc
@@ -67,7 +67,7 @@ def test_help_and_readme_list_the_verbs_of_the_contract() -> None:
 
 
 def test_help_and_completion_import_nothing_that_is_slow() -> None:
-    """Of all verbs in one process: what comes in a tenth of a second, with numpy alone twice that."""
+    """The help of all verbs, in one process: it takes a tenth of a second; numpy would double that."""
     code = (
         "import contextlib, io, sys\n"
         "from hd_diag.cli import cli\n"
@@ -84,7 +84,7 @@ def test_help_and_completion_import_nothing_that_is_slow() -> None:
 
 
 def test_blas_has_one_thread_unless_the_user_asks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Threads of BLAS took a quarter of the CPU time of a diagnosis to wait for each other."""
+    """Threads of BLAS spent a quarter of a diagnosis's CPU time waiting for each other."""
     monkeypatch.setattr("hd_diag.cli.verbs.cli", lambda: None)
     for given, wanted in (({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3")):
         monkeypatch.setattr(os, "environ", given)
@@ -103,9 +103,9 @@ def shells(tmp_path: Path) -> dict[str, str]:
 
 
 def test_bash_completes_verbs_options_choices_and_files(shells: dict[str, str]) -> None:
-    """As bash asks: the script of the verb, sourced, its function called for the words typed so far."""
+    """The test does what bash does: it sources the script and calls its function for the typed words."""
     typed = ("re", "mesh --to", "gear --output f", "gear --output = f", "mesh --config = con", "check con")
-    # compopt works in an interactive shell only.
+    # compopt works only in an interactive shell.
     script = ['compopt() { echo "compopt $@"; }', "source <(hd-diag completion bash)"]
     for words in typed:
         script.append(f"COMPREPLY=(); COMP_WORDS=(hd-diag {words}); COMP_CWORD={len(words.split())}")
@@ -118,7 +118,7 @@ def test_bash_completes_verbs_options_choices_and_files(shells: dict[str, str]) 
 
 
 def test_zsh_and_fish_complete_values_after_an_equals_sign(shells: dict[str, str], tmp_path: Path) -> None:
-    """zsh completes in a terminal only: of its script it is seen that the option's name stays."""
+    """zsh completes only in a terminal, so the test checks that its script keeps the option's name."""
     script = hd_diag("completion", "zsh").output
     assert "compset -P '--*='" in script
     assert "compadd -U" not in script
@@ -135,7 +135,7 @@ def test_zsh_and_fish_complete_values_after_an_equals_sign(shells: dict[str, str
 
 
 def test_what_nobody_reads_on_costs_no_file_and_no_exit_code(tmp_path: Path) -> None:
-    """``hd-diag ... | head``: a diagnosis prints before it writes, and its finding is a code."""
+    """``hd-diag ... | head``: diagnose still writes its file and returns the finding as exit code."""
     found, table = tmp_path / "found.json", tmp_path / "table.csv"
     rows = "\n".join(f"{k / 100},{k / 20},{k / 20},0" for k in range(400))  # one sensor given twice
     table.write_text(f"time,input,output,torque\n{rows}\n")
@@ -218,7 +218,7 @@ def test_mesh_table_lists_the_teeth_that_can_touch(tmp_path: Path) -> None:
 
 
 def pairs_of_files() -> list[tuple[str, click.Parameter, click.Parameter]]:
-    """Each option of a verb that names a file to write, with each that names one to read."""
+    """All pairs of options of one verb where one names a file to write and the other a file to read."""
     return [
         (verb, target, source)
         for verb, command in cli.commands.items()
@@ -228,7 +228,7 @@ def pairs_of_files() -> list[tuple[str, click.Parameter, click.Parameter]]:
 
 
 def written(params: dict[str, tuple[click.Parameter, Path]]) -> list[str]:
-    """Words of a command line that give these parameters."""
+    """Words of a command line that set these parameters."""
     return [
         str(word)
         for param, value in params.values()
@@ -238,7 +238,7 @@ def written(params: dict[str, tuple[click.Parameter, Path]]) -> list[str]:
 
 @pytest.mark.parametrize("link", [None, os.link, os.symlink], ids=["name", "hard link", "link"])
 def test_no_verb_writes_over_what_it_reads(link: Any, tmp_path: Path) -> None:
-    """Whatever it writes and reads, by its own name and by other names of the same file."""
+    """This holds for every verb, and for other names of the same file."""
     content = config_file(tmp_path).read_bytes()
     assert len(pairs_of_files()) > 30
     for number, (verb, target, source) in enumerate(pairs_of_files()):
@@ -263,7 +263,7 @@ def test_no_verb_writes_over_what_it_reads(link: Any, tmp_path: Path) -> None:
 
 
 def test_a_target_is_replaced_only_when_it_is_whole(tmp_path: Path) -> None:
-    """The system ends a write in the middle, as a full disk does; through a link, too."""
+    """The system ends a write in the middle, as a full disk does; the target may be a link."""
     path, link = tmp_path / "old.json", tmp_path / "link.json"
     path.write_text("old")
     link.symlink_to(path)
@@ -277,7 +277,7 @@ def test_a_target_is_replaced_only_when_it_is_whole(tmp_path: Path) -> None:
     assert json.loads(path.read_text())["schema"] == "hd_diag/mesh/1"
     (tmp_path / "new").touch()
     assert path.stat().st_mode == (tmp_path / "new").stat().st_mode
-    # A draft has a name that no file has.
+    # A draft never takes the name of an existing file.
     part = config_file(tmp_path).rename(tmp_path / ".part.old.json")
     content = part.read_bytes()
     assert (hd_diag("check", part, "--json", path).exit_code, part.read_bytes()) == (0, content)
@@ -292,7 +292,7 @@ def test_a_target_is_replaced_only_when_it_is_whole(tmp_path: Path) -> None:
     ],
 )
 def test_streams_that_are_closed_or_full_or_read_no_more(words: str, code: int, tmp_path: Path) -> None:
-    """Nothing is said, or one line on stderr; files that are opened get no standard stream's number."""
+    """Stderr has at most one line, and opened files do not take the number of a standard stream."""
     command = f"{shlex.quote(sys.executable)} -m hd_diag {words.replace('FILE', str(config_file(tmp_path)))}"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=60)
     full = "hd-diag: the output cannot be written: No space left on device\n"
@@ -300,7 +300,7 @@ def test_streams_that_are_closed_or_full_or_read_no_more(words: str, code: int, 
 
 
 def test_a_link_or_pipe_that_is_written_to_stays_one(tmp_path: Path) -> None:
-    """As root, a file in its place would take the system its /dev/null."""
+    """If root replaced the target by a file, the system would lose its /dev/null."""
     link, pipe = tmp_path / "link.json", tmp_path / "pipe"
     link.symlink_to(tmp_path / "real.json")
     os.mkfifo(pipe)
@@ -320,7 +320,7 @@ INSTALL, NO_NUMBA = "python3 -m pip install", "No module named 'numba'"
 
 
 def interrupted(compiled: int) -> BaseException:
-    """The usual one, and what numba's compiled code makes of one, function by function."""
+    """KeyboardInterrupt, wrapped once for each of numba's compiled functions on the way."""
     error: BaseException = KeyboardInterrupt()
     for _ in range(compiled):
         outer = SystemError("CPUDispatcher returned a result with an exception set")
@@ -332,7 +332,7 @@ def interrupted(compiled: int) -> BaseException:
     ("error", "code", "told"),
     [
         (ModuleNotFoundError(NO_NUMBA, name="numba"), 2, f"hd-diag: {NO_NUMBA}: {INSTALL} numba"),
-        # The code 1 is a finding's, so that a script never takes a crash for one.
+        # Code 1 means a finding: a script must never take a crash for one.
         (IndexError("index 5 is out of bounds\nfor axis 0"), 2, rf".*{OUT} \(mesh, line.*"),
         *((interrupted(compiled), 130, "hd-diag: interrupted") for compiled in (0, 1, 2)),
     ],
@@ -354,13 +354,13 @@ STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 def test_a_signal_while_modules_are_imported(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], number: signal.Signals, lost: str
 ) -> None:
-    """Also where what is raised is lost: in a callback of the interpreter, in a library that clears it."""
+    """This holds even if the exception is lost: in a callback, or in a library that clears it."""
 
     class Interrupting(importlib.abc.MetaPathFinder):
         def find_spec(self, name: str, *_: Any) -> None:
             if name != "hd_diag.cli":
                 return
-            if lost == "replaced":  # as C code does, which does not say what its error comes from
+            if lost == "replaced":  # like C code that hides the cause of its error
                 with contextlib.suppress(KeyboardInterrupt):
                     signal.raise_signal(number)
                 raise ImportError("a module cannot be initialised")

@@ -1,4 +1,4 @@
-"""``hd-diag replay`` and ``recover`` as a user meets them: exit codes, one line, JSON, what stays behind."""
+"""``hd-diag replay`` and ``recover`` for a user: exit codes, one-line errors, JSON, and files that remain."""
 
 import io
 import json
@@ -42,7 +42,7 @@ def written(path: Path, given: dict[str, Any]) -> Path:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A configuration, a short log of the node, and a bag of twenty seconds."""
     made = tmp_path_factory.mktemp("bags")
-    # As many arrays as can be: a replay that takes some seconds can be interrupted.
+    # The highest rate of arrays: the replay takes seconds, so that a test can interrupt it.
     written(made / "c.yaml", parameters("a", array_rate=1000.0))
     log_of(made / "log.mcap")
     angle = np.linspace(0.0, 450.0, COUNT)
@@ -57,12 +57,12 @@ def run(command: click.Command, *arguments: str | Path) -> Result:
     return hd_diag(command.name, *arguments)
 
 
-# What it tells ---
+# Reports ---
 
 
 def test_a_replay_tells_what_it_did(folder: Path, tmp_path: Path) -> None:
     result = run(replay, folder / "log.mcap", "--out", tmp_path / "out", "--json", tmp_path / "r.json")
-    assert (result.exit_code, result.stderr) == (0, "")  # no progress where there is no terminal
+    assert (result.exit_code, result.stderr) == (0, "")  # no progress without a terminal
     assert "its own configuration followed" in result.stdout
     found = json.loads((tmp_path / "r.json").read_text())
     told = {"schema": "hd_diag/replay/1", "reproduced": True, "joints": ["a", "b"], "messages": 59 + 4}
@@ -79,7 +79,7 @@ def test_rejections_and_absent_joints_are_told(folder: Path, tmp_path: Path) -> 
             writer.write("/joint_states", JOINT_STATE, message(START + i, {"a_motor": 0.1}), START + i)
     config = written(tmp_path / "c.yaml", parameters("a", "b"))
     result = run(replay, bag, "--config", config, "--out", tmp_path / "out.mcap")
-    assert result.exit_code == 2  # as of a joint that cannot be judged
+    assert result.exit_code == 2  # for a joint that cannot be judged
     assert "a: 1 rejected, the last because: stamp of a_motor repeats the last" in result.stdout
     assert result.stderr == (
         f"hd-diag: b: no input angle ('b_motor') in {bag}; joint states there hold a_motor; its topics are "
@@ -121,11 +121,11 @@ def test_control_characters_of_a_file_do_not_reach_the_terminal(tmp_path: Path) 
     assert (told["messages"], told["out"], result.stderr) == ({HOSTILE: 1}, [str(out)], "")
 
 
-# What comes in between ---
+# Interruptions ---
 
 
 def interrupting(monkeypatch: Patch, place: str, turn: int, number: signal.Signals = signal.SIGINT) -> None:
-    """A signal, by default Ctrl-C, during the so-manyth call of a function."""
+    """Raise a signal, by default Ctrl-C, in the given call of a function."""
     module, _, name = place.rpartition(".")
     before, calls = getattr(sys.modules[module], name), []
 

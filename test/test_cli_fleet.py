@@ -1,4 +1,4 @@
-"""`hd-diag fleet`: end to end with the true diagnosis; then, with a quick one, runs that are interrupted."""
+"""`hd-diag fleet`: end to end with the real diagnosis; then interrupted runs, with a quick substitute."""
 
 import json
 import os
@@ -29,7 +29,7 @@ from hd_diag.fleet.rows import Row, Task
 from hd_diag.simulation import Motion, Noise, SimulatedJoint, write_bag
 
 ARCSEC = np.pi / 648000.0
-SAME = 1e-4  # of an optimum whose search stops at steps of that size
+SAME = 1e-4  # of an optimum: the search stops at such steps
 
 
 def fleet(*arguments: object, jobs: bool = True) -> Result:
@@ -37,7 +37,7 @@ def fleet(*arguments: object, jobs: bool = True) -> Result:
 
 
 def findings(errors: str) -> list[str]:
-    """Lines of stderr except for how far a run is, every ten seconds, and which drive was assumed."""
+    """Lines of stderr, without the progress every ten seconds and the note about the assumed drive."""
     lines = [line for line in errors.splitlines() if not re.match("hd-diag: (reading|diagnosing): ", line)]
     return [line for line in lines if line != ASSUMED.strip()]
 
@@ -47,7 +47,7 @@ def table(path: Path) -> list[dict[str, Any]]:
 
 
 class Runs:
-    """Runs over small bags with a diagnosis in place of the true one, which notes what it is asked for."""
+    """Runs over small bags; a substitute for the diagnosis notes each request."""
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.folder, self._monkeypatch = folder, monkeypatch
@@ -64,7 +64,7 @@ class Runs:
         return fleet(self.made(days), "--out", out or self.out, *options)
 
     def made(self, days: int, folder: Path | None = None) -> Path:
-        """A folder with so many bags, one a day."""
+        """A folder with the given number of bags, one per day."""
         bags = folder or self.bags
         bags.mkdir(exist_ok=True)
         for day, path in enumerate(bags / f"{day:02}.mcap" for day in range(days)):
@@ -83,25 +83,25 @@ class Runs:
 
 @pytest.fixture
 def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Runs:
-    """Its tasks are done by workers."""
+    """Runs whose tasks are done by workers."""
     return Runs(tmp_path, monkeypatch)
 
 
 @pytest.fixture
 def here(elsewhere: Runs, monkeypatch: pytest.MonkeyPatch) -> Runs:
-    """Its tasks are done in this process."""
+    """Runs whose tasks are done in this process."""
     monkeypatch.setattr(cli_fleet, "_pool", lambda options: pool_tasks.PoolHere())
     return elsewhere
 
 
-# The true diagnosis ---
+# The real diagnosis ---
 
 HOSTILE = "[red]$x^2$\n\x1b[31m'; DROP.mcap"
 
 
 @pytest.fixture(scope="module")
 def judged(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, Path]:
-    """A run over a bag, its copies under hostile names, one cut off, and some that cannot be judged."""
+    """A run over a bag, copies of it with hostile names, a truncated bag, and some that cannot be judged."""
     folder = tmp_path_factory.mktemp("fleet")
     bags = folder / "bags"
     (bags / "deep").mkdir(parents=True)
@@ -127,7 +127,7 @@ def judged(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, Path]:
 
 def test_every_bag_has_its_row(judged: tuple[Result, Path]) -> None:
     result, folder = judged
-    assert result.exit_code == 1, result.output  # something is not green
+    assert result.exit_code == 1, result.output  # some state is not green
     errors = {Path(row["bag"]).name: row["error"] for row in table(folder / "f.parquet")}
     assert len(errors) == 7
     assert [errors[name] for name in ("good.mcap", HOSTILE, "\\udcff\\udcfe.mcap")] == [None] * 3
@@ -140,7 +140,7 @@ def test_every_bag_has_its_row(judged: tuple[Result, Path]) -> None:
 
 
 def test_a_row_is_what_diagnose_says(judged: tuple[Result, Path]) -> None:
-    """To the bits that sums on one thread and on several differ by."""
+    """Numbers agree to the step at which the search for an optimum stops."""
     _, folder = judged
     rows = [row for row in table(folder / "f.parquet") if row["error"] is None and not row["problems"]]
     told = hd_diag("diagnose", folder / "bags" / "good.mcap", "--json", "-", "--fail-on-cause")
@@ -164,7 +164,7 @@ def test_a_row_is_what_diagnose_says(judged: tuple[Result, Path]) -> None:
 
 
 def test_what_a_run_says_in_the_terminal_and_in_json(judged: tuple[Result, Path]) -> None:
-    """No bag's name reaches the terminal as it is."""
+    """No bag's name reaches the terminal unescaped."""
     result, folder = judged
     said = result.stdout + result.stderr
     assert "\x1b" not in said
@@ -180,14 +180,14 @@ def test_what_a_run_says_in_the_terminal_and_in_json(judged: tuple[Result, Path]
     assert trend["needed"] > 4
     assert trend["last"]["time"] == "2026-01-02T00:00:00+00:00"
     assert (folder / "f.png").read_bytes().startswith(b"\x89PNG")
-    # Equal contents are judged once: the good, the torn and the short bag; what cannot be read is not begun.
+    # Equal contents are judged once: good, torn and short bag. Unreadable bags are never started.
     assert len((folder / "f.parquet.journal.jsonl").read_text().splitlines()) == 3
 
 
 def test_the_weekly_page_says_how_the_joint_stands_and_leads_to_its_page(
     judged: tuple[Result, Path], browser: Any
 ) -> None:
-    """By the last recording, which was cut off: that stands on top, and in the row; no link is dead."""
+    """The last, truncated recording gives the state; top and row report the damage; no link is dead."""
     _, folder = judged
     assert page_faults(browser, (folder / "week.html").as_uri()) == []
     told = json.loads((folder / "f.json").read_text())
@@ -209,7 +209,7 @@ def test_the_weekly_page_says_how_the_joint_stands_and_leads_to_its_page(
     assert "eccentricity" in browser.find_element("css selector", ".verdict").text
 
 
-# Going on ---
+# Continuation of runs ---
 
 
 def test_what_is_known_is_not_judged_again_and_what_failed_is(here: Runs) -> None:
@@ -227,7 +227,7 @@ def test_what_is_known_is_not_judged_again_and_what_failed_is(here: Runs) -> Non
 
 
 def test_an_interrupted_run_goes_on(here: Runs) -> None:
-    """Ctrl-C: code 130, one line, no table; the next run judges what is missing, to the same table."""
+    """Ctrl-C: code 130, one line, no table. The next run judges the rest and writes the same table."""
 
     def interrupting(task: Task) -> Row:
         if len(here.asked) == 2:
@@ -248,7 +248,7 @@ def test_an_interrupted_run_goes_on(here: Runs) -> None:
 
 
 def test_a_full_disk_under_the_journal_ends_a_run_that_then_goes_on(here: Runs) -> None:
-    """The system ends a write in the middle of the second line; with room again only that is judged."""
+    """The system ends a write in the second line; with room again, only the missing bags are judged."""
     here.made(4)
     with files_up_to(1500):
         result = here(4)
@@ -275,7 +275,7 @@ def test_robots_are_reported_apart(here: Runs, tmp_path: Path) -> None:
 
 
 def test_pages_are_drawn_once_and_replaced_by_newer_ones(here: Runs) -> None:
-    """Of what was judged without a page too; what is not the run's own stays."""
+    """Bags judged earlier without a page get one; files that the run did not write stay."""
     here.judge(fleet_tasks.drawn)
     page, folder = here.folder / "week.html", here.folder / "week_joints"
     assert (here(3).exit_code, page.exists(), folder.exists()) == (0, False, False)
@@ -321,7 +321,7 @@ def test_a_drift_is_reported_with_the_day_of_its_limit(here: Runs) -> None:
     limit = found["residual_refit"]["limit"]
     assert limit["reached_low"] < limit["reached"] < limit["reached_high"]
     reached = datetime.fromisoformat(limit["reached"]) - datetime(2026, 1, 1, tzinfo=timezone.utc)
-    assert reached.days == pytest.approx(20, abs=1)  # 1e-5 rad and 1e-6 a day
+    assert reached.days == pytest.approx(20, abs=1)  # 1e-5 rad, growing by 1e-6 a day
     assert found["residual_refit"]["slope"]["value"] == pytest.approx(1e-6 / 86_400.0, rel=0.1)
     assert found["eccentricity"]["form"] == "constant"
 
@@ -334,7 +334,7 @@ def test_a_bag_that_hangs_while_it_is_looked_at(elsewhere: Runs, monkeypatch: py
 
 
 def test_what_is_no_file_is_reported_and_not_opened(here: Runs, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Opened, the FIFOs would hang and the device never end; no circle is followed."""
+    """Opening them would hang (FIFO) or never end (device); no circular link is followed."""
     bags = here.bags
     for folder in ("deep", "whole"):
         (bags / folder).mkdir(parents=True)
@@ -343,7 +343,7 @@ def test_what_is_no_file_is_reported_and_not_opened(here: Runs, monkeypatch: pyt
     (bags / "circle.mcap").symlink_to("circle.mcap")
     (bags / "device.db3").symlink_to("/dev/zero")
     with socket.socket(socket.AF_UNIX) as bound:
-        monkeypatch.chdir(bags)  # the name of a socket must be short
+        monkeypatch.chdir(bags)  # a socket's name must be short
         bound.bind("socket.mcap")
     for name in ("fifo.mcap", "whole/metadata.yaml", "whole/whole_0.mcap"):
         os.mkfifo(bags / name)

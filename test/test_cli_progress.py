@@ -1,4 +1,4 @@
-"""Progress of long work: a bar on a terminal, a line now and then in a pipe, how far and how long still."""
+"""Progress of long work: a bar on a terminal, periodic lines in a pipe, share done and remaining time."""
 
 import fcntl
 import os
@@ -26,7 +26,7 @@ from hd_diag.ros.stop_signals import Stopped
     ("unit", "done", "total", "seconds", "told"),
     [
         ("", (0.2, 0.4), 1.0, (10.0, 5.0), "40 %, about 25 s left"),
-        ("", (0.2, 0.4), 1.0, (10.0, 65.0), "40 %"),  # longer than thought: nobody knows how long still
+        ("", (0.2, 0.4), 1.0, (10.0, 65.0), "40 %"),  # longer than estimated: no remaining time
         ("messages", (0, 12_000), 30_000, (2.0, 0.0), "12,000 of 30,000 messages, 6,000/s, about 3 s left"),
         ("", (0, 0), 0, (130.0, 0.0), "2 min so far"),
     ],
@@ -34,7 +34,7 @@ from hd_diag.ros.stop_signals import Stopped
 def test_work_says_how_far_it_is_and_how_long_still(
     unit: str, done: tuple[float, ...], total: float, seconds: tuple[float, ...], told: str, monkeypatch: Any
 ) -> None:
-    """By the rate since its own first call, and the time since the last."""
+    """The rate counts from the first call of the work, and includes the time since the last one."""
     now = [100.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
     work = progress._Work("joint_1", unit)
@@ -50,7 +50,7 @@ def test_durations_as_people_say_them() -> None:
 
 
 def test_in_a_pipe_lines_come_while_nothing_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    """From the first word on, also in the middle of a long step; none after the end."""
+    """Lines start with the first word and continue during a long step; none comes after the end."""
     written, lines = threading.Event(), []
 
     def tell(line: str, err: bool) -> None:
@@ -70,14 +70,14 @@ def test_a_signal_ends_work_at_its_next_call(number: signal.Signals) -> None:
     before = signal.getsignal(number)
     with working() as part:
         advance = part("replay", "messages")
-        signal.raise_signal(number)  # where nothing can be left
+        signal.raise_signal(number)  # a signal at a moment when work cannot stop
         with pytest.raises(Stopped) as ended:
             advance(1, 2)
     assert (ended.value.number, signal.getsignal(number)) == (number, before)
 
 
 def test_ctrl_c_at_a_terminal(tmp_path: Path) -> None:
-    """130 and no traceback; the terminal has its cursor and its settings back. NO_COLOR is heeded."""
+    """Code 130 and no traceback; cursor and terminal settings are restored, NO_COLOR is respected."""
     here, there = pty.openpty()
     before = termios.tcgetattr(there)
     words = f"-m hd_diag simulate --duration 3600 --out {tmp_path / 'joint.mcap'}"
@@ -85,7 +85,7 @@ def test_ctrl_c_at_a_terminal(tmp_path: Path) -> None:
     streams: Any = dict.fromkeys(("stdin", "stdout", "stderr"), there)
     streams |= {"start_new_session": True, "preexec_fn": lambda: fcntl.ioctl(there, termios.TIOCSCTTY, 0)}
     with subprocess.Popen([sys.executable, *words.split()], env=environment, **streams) as process:
-        shown = read(here, lambda so_far: b"\x1b[?25l" in so_far)  # the bar is there, the cursor is not
+        shown = read(here, lambda so_far: b"\x1b[?25l" in so_far)  # bar shown, cursor hidden
         os.write(here, b"\x03")
         shown += read(here, lambda _: process.poll() is not None)
         assert process.returncode == 130, shown
@@ -100,7 +100,7 @@ def test_ctrl_c_at_a_terminal(tmp_path: Path) -> None:
 
 
 def read(terminal: int, is_enough: Callable[[bytes], bool]) -> bytes:
-    """What a terminal shows until it is enough, for at most a minute."""
+    """Output of a terminal until `is_enough`, for at most a minute."""
     shown, end = b"", time.monotonic() + 60.0
     while not is_enough(shown) and time.monotonic() < end:
         if select.select([terminal], [], [], 0.05)[0]:

@@ -1,4 +1,4 @@
-"""``hd-diag tolerance``: what it writes, what it shows, what it refuses."""
+"""``hd-diag tolerance``: what it writes, shows and refuses."""
 
 import json
 from pathlib import Path
@@ -21,7 +21,7 @@ QUICK = ("tolerance", "--samples", "12", "--sensitivity-samples", "2", "--jobs",
 
 @pytest.fixture(scope="module")
 def told(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """JSON of one run, which draws a picture too, and its text."""
+    """JSON and text of one run, which also draws a picture."""
     folder = tmp_path_factory.mktemp("tolerance")
     result = hd_diag(*QUICK, "--json", folder / "a.json", "--figure", folder / "a.png")
     assert (result.exit_code, result.stderr) == (0, ""), result.output
@@ -87,13 +87,13 @@ def test_numbers_of_the_json_are_the_paper_s_and_the_mesh_s(told: dict[str, Any]
 def test_text_has_units_resolution_and_every_criterion(told: dict[str, Any]) -> None:
     units = ("[µm]", "[rad]", "[deg]", "transmission_error [arcsec]", "peak_tooth_load [N]")
     assert [part for part in (*units, "Resolution", *NAMES) if part not in told["text"]] == []
-    tables = [line for line in told["text"].splitlines() if not line.endswith(".")]  # sentences are whole
-    assert max(map(len, tables)) <= 90  # the widest is what its columns need
+    tables = [line for line in told["text"].splitlines() if not line.endswith(".")]  # sentences stay whole
+    assert max(map(len, tables)) <= 90  # the widest table needs as much
 
 
 @pytest.fixture
 def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A search up to 1 um need not be fine."""
+    """A search up to 1 um may be coarse."""
     steps = {"STEPS": 2, "CHART_STEPS": 2, "_ROUNDS": 1, "_SEARCH": (12, 2), "_SEARCH_OF_JUMPS": (12, 2)}
     for name, value in steps.items():
         monkeypatch.setattr(f"hd_diag.tolerance.limit.{name}", value)
@@ -116,14 +116,14 @@ def test_svg_and_several_torques_without_assemblies(coarse: None, tmp_path: Path
 
 
 def test_a_drive_in_sections_has_limits_of_its_tilt_and_a_chart(coarse: None, tmp_path: Path) -> None:
-    """Up to 1 um only what coning brings is too much."""
+    """Up to 1 um, only the effect of coning exceeds a limit."""
     config = config_file(tmp_path, face_width=11e-3, cup_length=0.04, sections=2)
     svg, file = tmp_path / "a.svg", tmp_path / "a.json"
     given = ("--config", config, "--overlap-um", "1", "--json", file, "--figure", svg)
     result = hd_diag("tolerance", *NONE, *given)
     assert (result.exit_code, result.stderr) == (0, "")
     tilt = json.loads(file.read_text())["tilt"]
-    arm = 11e-3 / 2 / np.sqrt(3.0)  # of two Gauss-Legendre points
+    arm = 11e-3 / 2 / np.sqrt(3.0)  # lever arm of two Gauss-Legendre points
     assert tilt["largest_tilt"] == pytest.approx(1e-6 / arm)
     (criteria,) = (row["criteria"] for row in tilt["limits"])
     assert tuple(criteria) == NAMES
@@ -151,7 +151,7 @@ def test_the_seed_decides_what_is_drawn(told: dict[str, Any]) -> None:
 
 
 def test_options_take_the_place_of_configured_limits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is asked; the study itself is not done."""
+    """The test checks the question; the study itself is skipped."""
     asked: list[Question] = []
 
     def study(question: Question, *_: object) -> None:

@@ -1,4 +1,4 @@
-"""The same tree builds, tests and runs with colcon, as it would under a sourced ROS 2 Jazzy."""
+"""The tree builds, tests and runs with colcon, as under a sourced ROS 2 Jazzy."""
 
 import os
 import subprocess
@@ -18,7 +18,7 @@ def run(command: list[str], folder: Path, environment: dict[str, str]) -> str:
 
 @pytest.fixture(scope="module")
 def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """Environment with this Python's colcon first and colcon's own log out of the home folder."""
+    """Environment with this Python's colcon first, and colcon's own log outside the home folder."""
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     own = {"PATH": path, "COLCON_HOME": str(tmp_path_factory.mktemp("colcon_home")), "PYTEST_ADDOPTS": ""}
     return {**os.environ, **own}
@@ -26,7 +26,7 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def workspace(source_copy: Path, environment: dict[str, str]) -> Path:
-    """Colcon workspace around a copy of the tree, built."""
+    """Built colcon workspace around a copy of the tree."""
     folder = source_copy.parent
     run(["colcon", "build", "--event-handlers", "console_direct+"], folder, environment)
     return folder
@@ -41,7 +41,7 @@ def test_build_installs_both_executables_and_share(workspace: Path) -> None:
 
 
 def test_command_runs_from_the_installed_tree(workspace: Path, environment: dict[str, str]) -> None:
-    # From an empty folder with install/ sourced: the tree cannot help.
+    # The command runs in an empty folder, where the source tree cannot help.
     elsewhere = workspace / "elsewhere"
     elsewhere.mkdir()
     place = "python -c 'import hd_diag; print(hd_diag.__file__)'"
@@ -54,7 +54,7 @@ def test_command_runs_from_the_installed_tree(workspace: Path, environment: dict
 
 @pytest.mark.slow
 def test_colcon_test_runs_the_tests(workspace: Path, environment: dict[str, str]) -> None:
-    # A quick selection; without one this test would start itself.
+    # A quick selection: without one, this test would start itself.
     command = ["colcon", "test", "--event-handlers", "console_direct+", "--return-code-on-test-failure"]
     output = run([*command, "--pytest-args", "test/test_formatting.py"], workspace, environment)
     assert " passed" in output

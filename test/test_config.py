@@ -1,4 +1,4 @@
-"""Configuration: files, the check of single values and of the whole, hostile input."""
+"""Configuration: files, checks of single values and of the whole, hostile input."""
 
 import contextlib
 import math
@@ -65,7 +65,7 @@ def test_file_survives_dump_and_load(path: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
 def test_ros_reads_the_same_from_the_file(path: Path) -> None:
-    """The parser of ROS itself, and the types that it gives."""
+    """Values and types from ROS's own parser."""
     context = rclpy.Context()
     context.init(["--ros-args", "--params-file", str(path)])
     try:
@@ -93,7 +93,7 @@ def test_example_states_every_unit() -> None:
 
 
 def leaves(node: yaml.MappingNode, prefix: str = "") -> Any:
-    """Full name and line of every value."""
+    """Full name and line number of every value."""
     for key, value in node.value:
         if isinstance(value, yaml.MappingNode):
             yield from leaves(value, f"{prefix}{key.value}.")
@@ -146,7 +146,7 @@ def test_unknown_parameter_names_the_nearest(name: str, near: str | None) -> Non
     ],
 )
 def test_sections_are_for_the_nodes_of_ros(section: str, own: list[str], others: list[str]) -> None:
-    """As rclpy of Jazzy was seen to give them."""
+    """As rclpy of Jazzy assigns them."""
     assert [is_for(section, node) for node in own + others] == [True] * len(own) + [False] * len(others)
 
 
@@ -265,7 +265,7 @@ def test_file_that_cannot_be(content: str | bytes, reason: str, tmp_path: Path) 
     ("text", "value"), [("1e-3", 1e-3), ("1E2", 100.0), ("09", 9.0), ("+.5", 0.5), ("2.", 2.0), ("0", 0.0)]
 )
 def test_numbers_are_those_of_ros(text: str, value: float, tmp_path: Path) -> None:
-    """YAML 1.1 takes 1e-3 for a text and 09 for none; a node of ROS reads numbers."""
+    """YAML 1.1 reads 1e-3 as text and does not read 09 as a number; a node of ROS reads both as numbers."""
     assert load(written(tmp_path / "f.yaml", section(f"array_rate: {text}"))).array_rate == value
     assert load(written(tmp_path / "f.yaml", section("log: {path: 2026-01-01}"))).log.path == "2026-01-01"
 
@@ -273,7 +273,7 @@ def test_numbers_are_those_of_ros(text: str, value: float, tmp_path: Path) -> No
 @pytest.mark.timeout(20)
 @pytest.mark.parametrize("what", ["pipe", "link to a pipe", "device", "socket"])
 def test_only_regular_files_are_read(what: str, tmp_path: Path) -> None:
-    """A parameter file, and a model file that it names; a reader of a pipe waits for who writes."""
+    """This holds for a parameter file and for a model file it names; reading a pipe would block."""
     path = Path("/dev/zero") if what == "device" else tmp_path / what
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "link to a pipe").symlink_to("pipe")
@@ -286,7 +286,7 @@ def test_only_regular_files_are_read(what: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["hd_diag", "/hd_diag", "/arm/hd_diag", "/**"])
 def test_sections_are_merged_parameter_by_parameter(name: str, tmp_path: Path) -> None:
-    """Whatever node they name; parameters of every node of ROS are no error."""
+    """This holds for any node name; parameters that every node of ROS has are no error."""
     ros = "use_sim_time: true, qos_overrides: {/parameter_events: {publisher: {depth: 1}}}"
     text = "/**: {ros__parameters: {joint_1: {torque: 3.0, rated_torque: 50.0}}}\n"
     if name != "/**":
@@ -309,7 +309,7 @@ JUNK = st.recursive(
 
 
 def of_parameter(name: str) -> st.SearchStrategy[Any]:
-    """Anything, and numbers within the range."""
+    """Any value, and numbers within the range."""
     spec = KNOWN[name]
     if type(spec.default) is not float:
         return SCALARS

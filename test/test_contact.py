@@ -1,4 +1,4 @@
-"""Backlash of all tooth pairs: against the brute-force reference and differences of meshes."""
+"""Backlash of all tooth pairs, against the brute-force reference and differences of meshes."""
 
 import dataclasses
 from typing import NamedTuple
@@ -18,13 +18,13 @@ from hd_diag.model.mesh import Mesh
 Array = polyline.Array
 Vector = tuple[float, float]
 
-# The polylines cut the arcs' bulge by 0.13 nm, 0.25 nm in the drive twice as large; with four times as many
-# points by a sixteenth of that.
+# Polylines cut the bulge of arcs by 0.13 nm (0.25 nm in the drive of double size). Four times as many points
+# reduce this to a sixteenth.
 POLYLINE_ERROR = 0.3e-9  # [m]
 
 
 class Moment(NamedTuple):
-    """Arguments of ``drives.mesh`` and, with the angle before them, of ``polyline.mesh``."""
+    """Arguments of ``drives.mesh``; with the angle first, those of ``polyline.mesh``."""
 
     angle: float
     eccentricity: Vector
@@ -55,25 +55,25 @@ def test_reference(drive: polyline.Drive, moment: Moment) -> None:
     expected = polyline.mesh(*moment, drive=drive)
     rotation, radius, pressure = spread(drives.mesh(drive, *moment[1:]), moment.angle)
     assert_allclose(rotation * expected.radius, expected.backlash, rtol=0, atol=POLYLINE_ERROR)
-    # The reference smooths its flanks over some micrometres, also where arc and line join.
+    # The reference smooths its flanks over some micrometres, including joints of arc and line.
     assert_allclose(radius, expected.radius, rtol=0, atol=0.5e-6)
     assert_allclose(pressure, expected.pressure_angle, rtol=0, atol=2e-3)
 
 
 def test_slots_that_move_outward_open_the_flanks_and_soften_them() -> None:
-    """Also by compiled code, as differences of meshes with other datums have it."""
+    """Also in compiled code: slopes against differences of meshes with other datums."""
     mesh, angle, step = drives.mesh(eccentricity=(6e-6, 8e-6)), np.linspace(0.0, 6.0, 40), 5e-9
     datum = mesh.geometry.circular_spline_datum
     moved = [dataclasses.replace(mesh.geometry, circular_spline_datum=datum + d) for d in (-step, step)]
     inner, outer = (contacts(dataclasses.replace(mesh, geometry=one), angle) for one in moved)
     found = contacts(mesh, angle, compiled=True)
     assert_allclose(found.rotation, contacts(mesh, angle).rotation, rtol=0, atol=1e-15)
-    with np.errstate(divide="ignore"):  # where a flank cannot touch
+    with np.errstate(divide="ignore"):  # for flanks that cannot touch
         stiffness = [np.log(flank_stiffness(one, mesh.tooth_compliance)) for one in (inner, outer)]
     for slope, low, high in ((found.opening, inner.rotation, outer.rotation), (found.softening, *stiffness)):
         with np.errstate(invalid="ignore"):
             away = np.abs(slope - (high - low) / (2.0 * step))
-        assert np.nanquantile(away, 0.99) < 1e-4 * np.nanmax(np.abs(slope))  # but where the contact jumps
+        assert np.nanquantile(away, 0.99) < 1e-4 * np.nanmax(np.abs(slope))  # except where contacts jump
 
 
 def test_tips_of_the_circular_spline_touch() -> None:

@@ -1,4 +1,4 @@
-"""What errors of teeth do to the transmission error: against moved teeth in the brute-force reference."""
+"""Effect of tooth errors on the transmission error, against displaced teeth in the reference."""
 
 import dataclasses
 import math
@@ -31,8 +31,8 @@ ANGLES = np.array([0.3, 1.9, 7.7, -4.0, 11.2])
 TORQUES = np.array([-50.0, -12.0, 20.0, 45.0])
 PITCH = 2 * math.pi / 202
 SLOTS = PITCH * np.arange(202)
-# Steps of the shares where pairs come into load, smeared by the grid and by the displacement itself: a few
-# pairs of some fifty.
+# Shares step where pairs come into load. The grid and the displacement itself smear these steps: a few pairs
+# of about fifty.
 TOLERANCE = 0.05
 
 
@@ -45,7 +45,7 @@ def product(angle: Array = ANGLES, torque: Array = TORQUES) -> Moments:
 
 
 def moved_outward(angle: float, outward: Array) -> polyline.Mesh:
-    """The reference's mesh with slots displaced radially [m], every wall point along its slot's axis."""
+    """The reference's mesh with radial displacements of slots [m], along each slot's axis."""
     wall = polyline._slot_polar(drives.PAPER, 1600)
     x, y = wall[0] * np.cos(wall[1]), wall[0] * np.sin(wall[1])
     walls = {d: (np.hypot(x + d, y), np.arctan2(y, x + d)) for d in np.unique(outward)}
@@ -66,7 +66,7 @@ def moved_outward(angle: float, outward: Array) -> polyline.Mesh:
 
 
 def turned(mesh: OneMesh) -> Array:
-    """How the cup turns when teeth are displaced, at all moments and torques [rad]; TE of this drive."""
+    """Rotation of the cup through displaced teeth, at all moments and torques [rad]: the drive's TE."""
     result = []
     for angle in ANGLES:
         before, after = polyline.mesh(angle, ECCENTRICITY), mesh(angle)
@@ -105,7 +105,7 @@ def test_odd_pitch_errors_show_with_an_eccentricity() -> None:
     assert np.mean(odd) > 0.05 * np.mean(even)
 
 
-SHIFT = 4e-6 * np.cos(2 * (SLOTS - 0.7))  # so large that pairs come into and out of load
+SHIFT = 4e-6 * np.cos(2 * (SLOTS - 0.7))  # large enough to load and unload pairs
 
 
 @pytest.mark.parametrize(
@@ -161,7 +161,7 @@ def test_single_teeth_are_their_shares(many: Moments, member: str, pitch: float,
 
 
 def test_all_teeth_together_turn_the_output_and_single_ones_add_up(many: Moments) -> None:
-    """By c over the contacts' radius where all slots, or all teeth, move by c."""
+    """If all slots, or all teeth, move by c, the output turns by c over the contacts' radius."""
     found, radius = weights(DRIVE, *many), 30.9e-3
     assert_allclose(found.harmonics("slot", (0,))[:, 0], 1 / radius, rtol=5e-3)
     assert_allclose(found.harmonics("tooth", (0,))[:, 0], -1 / radius, rtol=5e-3)
@@ -172,7 +172,7 @@ def test_all_teeth_together_turn_the_output_and_single_ones_add_up(many: Moments
 
 
 def test_reversed_torque_mirrors_pitch_and_reverses_form() -> None:
-    """Without eccentricity the drive is its own mirror image, in which a radial error turns the other way."""
+    """Without eccentricity the drive is symmetric; in its mirror image a radial error changes sign."""
     drive = Drive(drives.mesh(), Kinematics(100.0), 56.0)
     angle = 2 * math.pi / 404 * np.arange(404)
     sides = [weights(drive, angle, np.full(404, torque)) for torque in (30.0, -30.0)]
@@ -218,7 +218,7 @@ FAR = (30e-6, 8e-6)
 def test_torsion_is_by_maps_far_beyond_the_limit(
     eccentricity: tuple[float, float], beyond: float, most: float, many: Moments
 ) -> None:
-    """To 0.01 arcsec at the limit; less closely where pairs enter by their tip corners, and farther out."""
+    """Error of 0.01 arcsec at the limit; larger beyond it and where pairs touch with tip corners."""
     angle, torque = many[0], beyond * many[1]
     drive = dataclasses.replace(DRIVE, mesh=drives.mesh(eccentricity=eccentricity))
     table = contact_table(drive, LIMIT)

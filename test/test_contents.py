@@ -1,4 +1,4 @@
-"""``hd-diag topics``: what it finds in bags of other robots makes the mapping by which they are read."""
+"""``hd-diag topics``: its findings in other robots' bags give the mapping that reads them."""
 
 import json
 import re
@@ -29,7 +29,7 @@ def given() -> Columns:
 
 
 def found_in(path: Path, folder: Path) -> tuple[dict[str, Any], Any]:
-    """The JSON, and the configuration that the mapping is."""
+    """The JSON, and the configuration from its proposed mapping."""
     target = folder / "topics.json"
     result = hd_diag("topics", path, "--json", target)
     assert result.exit_code == 0, result.stderr
@@ -79,7 +79,7 @@ def test_franka_has_two_encoders_at_one_side(given: Columns, tmp_path: Path) -> 
 
 @pytest.mark.parametrize("bits", [16, 13])
 def test_a_motor_that_counts_is_told_with_its_counts(given: Columns, tmp_path: Path, bits: int) -> None:
-    """8192 to the turn, of 16 bits that run over or anew each turn; the user knows the ratio."""
+    """8192 counts per turn, in 16 bits that overflow or 13 bits that wrap; the user knows the ratio."""
     told = np.mod(np.rint(given["input"] / (2 * np.pi) * 8192) + 60_000, 2.0**bits)
     path = write(tmp_path / "a.mcap", states(given["time"], ("a/x", "a/y"), (told, given["output"])))
     result = hd_diag("topics", path, "--json", tmp_path / "t.json")
@@ -103,7 +103,7 @@ def test_one_angle_is_told(given: Columns, tmp_path: Path) -> None:
 
 
 def test_motors_in_degrees_that_wrap_beside_links(given: Columns, tmp_path: Path) -> None:
-    """On two topics; temperatures and currents are known by their names, other messages are named."""
+    """Joints on two topics. Names identify temperatures and currents; other messages are only listed."""
     wrapped = np.degrees(given["input"]) % 360.0
     warm = given["torque"] + 20.0
     path = write(
@@ -124,7 +124,7 @@ def test_motors_in_degrees_that_wrap_beside_links(given: Columns, tmp_path: Path
 
 
 def test_all_publishers_of_a_topic_are_told(given: Columns, tmp_path: Path) -> None:
-    """A gripper's joints come first, at another rate; the arm's are those of a gear."""
+    """A gripper's joints come first, at another rate; the arm's joints are a gear's."""
     few = given["time"][::4]
     fingers = states(few + 1e-4, ("finger_l", "finger_r"), (np.sin(few), np.cos(few)))
     path = write(tmp_path / "a.mcap", fingers, whole(given))
@@ -141,7 +141,7 @@ def test_all_publishers_of_a_topic_are_told(given: Columns, tmp_path: Path) -> N
 
 
 def test_names_with_interfaces_and_nothing_behind_them(given: Columns, tmp_path: Path) -> None:
-    """Each interface is a name of its own, and nan under all others: none of these is proposed."""
+    """Each interface is a name with nan in all other columns; nan columns are never proposed."""
     nothing = np.full(given["time"].size, np.nan)
     names = ("joint_1_motor/position", "joint_1/position", "joint_1/effort")
     position, effort = (given["input"], given["output"], nothing), (nothing, nothing, given["torque"])
@@ -166,7 +166,7 @@ def test_points_of_drawings_are_no_angles(given: Columns, tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("seed", range(12))
 def test_what_is_proposed_is_taken(seed: int, given: Columns, tmp_path: Path) -> None:
-    """Bags of all makes: topics, rates, units, names, others' joints, arrays of nan, and no torque."""
+    """Bags of many kinds: topics, rates, units, names, other joints, arrays of nan, and no torque."""
     rng = np.random.default_rng(seed)
     pick = lambda *choices: choices[rng.integers(len(choices))]  # noqa: E731
     end, time = pick("", "/position"), given["time"]
@@ -209,7 +209,7 @@ def test_a_bag_without_angles(tmp_path: Path) -> None:
 
 
 def test_all_topics_are_read_in_two_passes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """However many there are; one message shows its number; what cannot be read ends its topic alone."""
+    """Two passes suffice for any number of topics. One message shows its value; a bad topic ends alone."""
     asked: list[int] = []
     own = BagReader.batches
 
@@ -236,7 +236,7 @@ def test_all_topics_are_read_in_two_passes(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_numbers_that_no_joint_can_have_are_none(tmp_path: Path) -> None:
-    """Columns of a table with infinities and numbers near the largest: nothing but the answer is said."""
+    """Columns with infinities and numbers near the largest cause no warning in the output."""
     rows = [f"{0.01 * k},{k},{0.01 * k},{('inf', '-inf', '1e308', '-1e308')[k % 4]}" for k in range(300)]
     (tmp_path / "a.csv").write_text("\n".join(["t,x,y,q", *rows]))
     result = hd_diag("topics", tmp_path / "a.csv")
@@ -245,7 +245,7 @@ def test_numbers_that_no_joint_can_have_are_none(tmp_path: Path) -> None:
 
 
 def test_the_rate_of_a_table_is_that_of_each_of_its_recordings(tmp_path: Path) -> None:
-    """Four of a second at 100 Hz, each with a time from zero."""
+    """Four recordings of one second at 100 Hz, each with times from zero."""
     rows = [f"{0.01 * k},{r},{k},{0.01 * k}" for r in range(4) for k in range(101)]
     (tmp_path / "a.csv").write_text("\n".join(["t,record,x,y", *rows]))
     told = json.loads(hd_diag("topics", tmp_path / "a.csv", "--json", "-").stdout)

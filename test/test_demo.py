@@ -1,4 +1,4 @@
-"""The demo as a user runs it: real processes over DDS, a log, an end that leaves nothing behind."""
+"""The demo as a user runs it: real processes over DDS, a log, and an end that leaves no process."""
 
 import json
 import os
@@ -35,7 +35,7 @@ def demo(folder: Path, *arguments: str, **environment: str) -> subprocess.Popen[
 
 
 def processes_of(folder: Path) -> list[str]:
-    """Command lines of running processes that name the folder."""
+    """Command lines of running processes that contain the folder's name."""
     found = []
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         try:
@@ -49,7 +49,7 @@ def processes_of(folder: Path) -> list[str]:
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """One whole run: exit code, output, summary."""
+    """One complete run: folder, output, summary."""
     folder = tmp_path_factory.mktemp("demo") / "out"
     process = demo(folder, "--seconds", "8", "--json", str(folder.parent / "summary.json"))
     out, err = process.communicate(timeout=400)
@@ -76,17 +76,17 @@ def test_prediction_backlash_and_residual_move_with_the_eccentricity(run: dict[s
     errors = [step["predicted_te_pp_arcsec"] for step in steps]
     assert errors[0] < 0.2  # tooth passing only
     assert errors == sorted(errors)
-    assert errors[-1] == pytest.approx(55.0, abs=2.0)  # of the exact solution over a turn, at 14 N m
+    assert errors[-1] == pytest.approx(55.0, abs=2.0)  # exact solution over a turn, at 14 N m
     assert steps[0]["minimum_backlash_um"] == pytest.approx(0.94, abs=0.02)
     assert all(step["minimum_backlash_um"] < 0.5 for step in steps[1:])
     assert steps[0]["lost_motion_arcmin"] == pytest.approx(0.210, abs=0.002)
     rates = [step["sample_rate_hz"] for step in steps]
-    assert statistics.median(rates) == pytest.approx(250.0, rel=0.05)  # a busy machine is late in a step
+    assert statistics.median(rates) == pytest.approx(250.0, rel=0.05)  # a busy machine may delay a step
     found = {step["eccentricity_um"]: step["residual_rms_arcsec"] for step in steps}
     residual = {um: rms for um, rms in found.items() if rms is not None}  # a busy machine may miss a step
     assert len(residual) > 1
     assert min(residual, key=residual.__getitem__) == 18.0  # the true one
-    assert residual[18.0] == pytest.approx(1.0, abs=0.3)  # the noise of the simulated encoder
+    assert residual[18.0] == pytest.approx(1.0, abs=0.3)  # noise of the simulated encoder
 
 
 def test_log_is_read_with_types_by_rosbags_and_mcap_ros2(run: dict[str, Any]) -> None:
@@ -169,7 +169,7 @@ def test_node_that_cannot_start_is_named(tmp_path: Path) -> None:
 
 
 def test_child_that_ignores_sigint_is_killed(tmp_path: Path) -> None:
-    """It runs beside what it prints: a source tree's package would be imported, not the installed one."""
+    """The child runs in its output's folder: from a source tree, it would import that package."""
     stubborn = (
         "import os, signal, time; signal.signal(signal.SIGINT, signal.SIG_IGN); "
         "print(os.getcwd(), flush=True); time.sleep(60)"

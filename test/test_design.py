@@ -1,4 +1,4 @@
-"""Least squares by blocks: held-out sums, the F test, intervals."""
+"""Least squares by blocks: held-out sums, F test, intervals."""
 
 import numpy as np
 import pytest
@@ -52,7 +52,7 @@ def test_a_column_of_zeros_beside_others_solves_to_nothing() -> None:
 
 
 def test_f_test_is_that_of_the_textbook() -> None:
-    """One column added to none in 11 rows: F is the square of t."""
+    """For one column in 11 rows, F is the square of t."""
     rng = np.random.default_rng(1)
     x, y = rng.standard_normal((2, 11))
     fit = stats.linregress(x - x.mean(), y)
@@ -65,11 +65,11 @@ def test_lower_bound_is_above_a_mean_of_zero_once_in_a_hundred() -> None:
     draws = np.random.default_rng(3).standard_normal((4000, 24))
     share = np.mean([lower_bound(row) > 0.0 for row in draws])
     assert share == pytest.approx(0.01, abs=4 * np.sqrt(0.01 * 0.99 / 4000))
-    assert lower_bound(np.array([5.0])) == -np.inf  # one block says nothing
+    assert lower_bound(np.array([5.0])) == -np.inf  # one block proves nothing
 
 
 def test_bootstrap_interval_covers() -> None:
-    """95 % of a mean of 24 skewed blocks; a bootstrap of so few is known to cover 2 to 4 % less."""
+    """95 % for a mean of 24 skewed blocks; a bootstrap of so few covers 2 to 4 % less."""
     rng = np.random.default_rng(4)
     draws = rng.gamma(2.0, 1.0, (400, 24))
     bounds = np.array([interval(row, rng) for row in draws])
@@ -93,7 +93,7 @@ def test_held_out_gain_is_that_of_refits(dropped: slice) -> None:
 
 
 def test_a_column_of_one_block_says_nothing_of_it() -> None:
-    """Held out, the block is predicted without that column: a filter's tail elsewhere is rounding."""
+    """Held out, its block is predicted without that column; a filter's tail elsewhere is rounding error."""
     x, y, block = problem(columns=4)
     local = np.where(block == 3, 1.0 / 3.0 + x[:, 0], np.where(block == 4, 1e-10, 0.0))
     wide = design(np.column_stack((x, 1e-3 * local)), y, block)
@@ -108,7 +108,7 @@ def test_a_column_of_one_block_says_nothing_of_it() -> None:
 
 
 def test_without_a_column_others_go_farther_from_their_prior() -> None:
-    """A column like it, held near zero by its prior, grows: by ridge regressions with and without."""
+    """A similar column, held near zero by its prior, grows; checked by ridge regressions with and without."""
     x, y, block = problem()
     x[:, 1] = x[:, 0] + 0.1 * x[:, 1]
     y = y + 2.0 * x[:, 0]
@@ -129,13 +129,13 @@ def test_without_a_column_others_go_farther_from_their_prior() -> None:
     assert expected > 10.0
     gain, moved = design(x, y, block, precision, pull).prior_gain(slice(0, 1))
     assert gain == pytest.approx(expected)
-    # All that the column brings, by data and prior together, is what it was to bring.
+    # The column's total gain, from data and prior, equals its predicted gain.
     brought = square(fewer) - square(whole) + gain
     assert brought == pytest.approx(float(np.sum((x @ (whole - fewer)) ** 2)) + moved)
 
 
 def noise_gain(seed: int, blocks: int = 24, size: float = 0.0, rows: slice = slice(None)) -> bool:
-    """Whether a wave held by noise alone, or present in some blocks with a size, is taken as proved."""
+    """Whether a noise column is accepted; `size` adds a true wave, and `rows` limits it to some blocks."""
     rng = np.random.default_rng(seed)
     x, y = rng.standard_normal((720, 3)), rng.standard_normal(720)
     block = np.arange(720) * blocks // 720
@@ -155,10 +155,10 @@ def test_a_cause_in_all_or_in_two_blocks_holds(size: float, rows: slice) -> None
 @pytest.mark.parametrize(
     ("gain", "predicted", "expected"),
     [
-        ((60.0, 45.0), (60.0, 45.0), True),  # although the mean does not stand out of the blocks' scatter
+        ((60.0, 45.0), (60.0, 45.0), True),  # although the mean is within the blocks' scatter
         ((180.0, 20.0), (100.0, 100.0), True),
-        ((180.0, -20.0), (100.0, 100.0), False),  # what one gains, another of the same weight loses in part
-        ((2.5, 0.5), (2.5, 0.5), False),  # three, where the noise of what was predicted is 2 sqrt(3)
+        ((180.0, -20.0), (100.0, 100.0), False),  # an equally weighted block loses part of the gain
+        ((2.5, 0.5), (2.5, 0.5), False),  # 3.0 in all; the noise of the prediction is 2 sqrt(3)
     ],
 )
 def test_two_of_many_blocks_hold(gain: tuple, predicted: tuple, expected: bool) -> None:
@@ -175,7 +175,7 @@ def test_a_cause_is_half_to_twice_as_large_as_blocks_foretell(size: float, expec
 
 
 def test_blocks_count_by_what_is_foretold_of_them() -> None:
-    """A torque's zero, that a few turns of the motion show: gains scatter by more than their mean."""
+    """A torque's zero that a few motor turns show: the scatter of the gains exceeds their mean."""
     gain = np.fromstring("-15 0 15 60 35 55 -1 -17 10 6 0 1 -3 6 -5 4 25 186 12 10 8 4 5 168", sep=" ")
     foretold = np.fromstring("31 5 6 100 14 36 6 5 3 2 3 3 5 5 3 12 22 136 5 5 4 5 5 75", sep=" ")
     assert lower_bound(gain) < 0.0
@@ -183,7 +183,7 @@ def test_blocks_count_by_what_is_foretold_of_them() -> None:
     assert not holds(gain - foretold, foretold, foretold)
     turned = np.where(foretold == 136.0, -gain, gain)
     assert not holds(turned, foretold, foretold)
-    # Where others leave open what that block is like it says little.
+    # A block that the others do not determine counts little.
     open_there = np.where(foretold == 136.0, 100.0, 1.0) * foretold
     assert holds(turned, foretold, open_there)
     assert not holds(turned - np.where(foretold == 136.0, 200.0, 0.0), foretold, open_there)

@@ -1,4 +1,4 @@
-"""What a record could have shown: the least sizes that are stated, and why an effect has none."""
+"""Detectability of effects in a record: stated least sizes, and reasons for effects without one."""
 
 import functools
 import math
@@ -77,7 +77,7 @@ def test_a_larger_record_shows_smaller_effects() -> None:
         assert shown(shorter).keys() <= shown(longer).keys()
         for name, size in shown(shorter).items():
             assert longer[name].least_size < size
-        # At most as the root of the length: remainders imitate a part of it, whatever the length.
+        # At most the root of the length: remainders imitate a part of it at any length.
         ratio = shorter["coulomb_windup"].least_size / longer["coulomb_windup"].least_size
         assert 1.2 < ratio < 1.05 * math.sqrt(2.0)
 
@@ -88,7 +88,7 @@ def test_noise_hides_effects() -> None:
     assert shown(noisy).keys() < shown(stated()).keys()
     larger = [noisy[name].least_size / size for name, size in shown(stated()).items()]
     assert min(larger) > 1.0
-    assert max(larger) < 10.1  # no remainder hides more than it did
+    assert max(larger) < 10.1  # no remainder hides more than before
 
 
 def test_what_is_undecided_has_no_least_size_and_says_why() -> None:
@@ -96,7 +96,7 @@ def test_what_is_undecided_has_no_least_size_and_says_why() -> None:
     undecided = found["hysteresis"]
     assert (undecided.testable, math.isnan(undecided.least_size)) == (False, True)
     assert undecided.reason == NOT_PROVED
-    assert "no temperature is measured" in found["thermal_drift"].reason  # what can be helped comes first
+    assert "no temperature is measured" in found["thermal_drift"].reason  # what the user can fix comes first
     others = {name: test for name, test in found.items() if name not in ("hysteresis", "thermal_drift")}
     assert all(test == stated()[name] for name, test in others.items() if not math.isnan(test.least_size))
 
@@ -104,7 +104,7 @@ def test_what_is_undecided_has_no_least_size_and_says_why() -> None:
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
-        ("torque_gain", BY_PARAMETERS),  # compliances are a gain of the torque
+        ("torque_gain", BY_PARAMETERS),  # compliances act like a gain of the torque
         ("wear_backlash", BY_PARAMETERS),  # the datum is the backlash
         ("coupling_misalignment", "function of speed, of which any joint has some, imitates it"),
         ("thermal_drift", "no temperature is measured"),

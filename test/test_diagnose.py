@@ -1,6 +1,6 @@
-"""The diagnosis end to end on records of the independent generator, and `hd-diag diagnose`.
+"""The end-to-end diagnosis on records of the independent generator, and `hd-diag diagnose`.
 
-Development seeds only; the whole benchmark is bench/challenge.py.
+Development seeds only; bench/challenge.py has the whole benchmark.
 """
 
 import dataclasses
@@ -66,7 +66,7 @@ def test_what_cannot_be_told_from_a_cause_has_the_size_at_which_it_does_the_same
 
 
 def test_a_drift_of_every_recording_is_fitted_to_all_of_them() -> None:
-    """It is no cause, as slow as noise may be, and changes no parameter; no model that runs has it."""
+    """The drift is as slow as noise: it is no cause, and changes no parameter and no running model."""
     parts, rng = [columns(12.0, 100.0, seed) for seed in range(4)], np.random.default_rng(3)
     for number, part in enumerate(parts):
         bends = 4.0 * ARCSEC * rng.standard_normal(7)
@@ -82,7 +82,7 @@ def test_a_drift_of_every_recording_is_fitted_to_all_of_them() -> None:
 
 @pytest.mark.parametrize("within", [1.0, slow(2.0)])
 def test_intervals_are_longer_where_more_than_noise_is_left(within: float, monkeypatch: Patch) -> None:
-    """Of displacements by what is left in turns of the input, and by what that would be as their own."""
+    """Displacements widen with the residual in input turns, and by the displacement that it would equal."""
     plain, real = eccentric(), gain.measured_gain
 
     def worse(*given: Any) -> Any:
@@ -108,7 +108,7 @@ def test_intervals_are_longer_where_more_than_noise_is_left(within: float, monke
 
 
 def test_what_lacks_is_said_of_every_cause_that_cannot_be_tested() -> None:
-    """Friction acts by a torque: without one the motion may be all it asks for, and it cannot be judged."""
+    """Friction acts through the torque: without a torque it cannot be judged, even if the motion would do."""
     given = columns(12.0)
     del given["torque"]
     found = diagnose(prepared(given), joint().drive, np.random.default_rng(0))

@@ -1,4 +1,4 @@
-"""The documentation: it builds, what it names exists, what the code has is in it, its examples run."""
+"""The documentation: it builds, its names exist, it covers the code, and its examples run."""
 
 import dataclasses
 import importlib.util
@@ -37,7 +37,7 @@ ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
 PAGES = sorted(path for path in DOCS.rglob("*.md") if "_build" not in path.parts)
 NAMES = [path.relative_to(DOCS).as_posix() for path in PAGES]
-LARGEST_PICTURE = 200_000  # of the README [byte]
+LARGEST_PICTURE = 200_000  # in the README [byte]
 
 
 def load(path: Path) -> ModuleType:
@@ -53,7 +53,7 @@ rerun, generate = load(DOCS / "rerun.py"), load(DOCS / "generate.py")
 
 @pytest.fixture
 def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is run of hd-diag is run here: a process of its own takes a second to begin."""
+    """Run commands of hd-diag in this process: a separate one takes a second to start."""
 
     def run(command: list[str], check: bool, **_: Any) -> SimpleNamespace:
         words = command[1:] if command[0] == "hd-diag" else command[3:]
@@ -66,11 +66,11 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(subprocess, "run", run)
 
 
-# What the pages name ---
+# Names in the pages ---
 
 
 def calls(text: str) -> list[list[str]]:
-    """Words of every call of hd-diag in the blocks of a page: those that were run and those a reader runs."""
+    """Words of every hd-diag call in the code blocks of a page, whether generated or for the reader."""
     read = [line for block in re.findall(r"(?ms)^```sh\n(.*?)^```$", text) for line in block.splitlines()]
     parts = (part for line in [*rerun.commands(text), *read] for part in re.split(r"\||&&|;", line))
     words = (shlex.split(part, comments=True) for part in parts)
@@ -78,7 +78,7 @@ def calls(text: str) -> list[list[str]]:
 
 
 def faults(words: list[str]) -> list[str]:
-    """What is not of the command line in a call."""
+    """Parts of a call that the command line does not have."""
     verb = cli.get_command(click.Context(cli), words[0])
     if verb is None:
         return [f"no verb {words[0]}"]
@@ -120,7 +120,7 @@ def test_what_check_says_is_what_the_page_shows(
 
 
 def table(page: str, heading: str) -> set[str]:
-    """What stands in code in the first column below a heading."""
+    """Code names in the first column below a heading."""
     text = (DOCS / page).read_text(encoding="utf-8").partition(f"{heading}\n")[2]
     rows = text.partition("\n#")[0].splitlines()
     return {
@@ -173,7 +173,7 @@ def test_readme_is_short_with_its_picture_and_what_the_demo_takes_before_its_com
     assert [link for link in links if not (ROOT / link).exists()] == []
 
 
-# The pages as a code host shows them ---
+# The pages on a code host ---
 
 
 @pytest.mark.parametrize("page", [name for name in NAMES if not name.startswith("api/")])
@@ -191,7 +191,7 @@ def is_there(page: Path, file: str, place: str) -> bool:
 
 
 def places_of(page: Path) -> set[str]:
-    """Names under which a code host links the headings of a page."""
+    """Anchors under which a code host links the headings of a page."""
     titles = re.findall(r"(?m)^#+ (.+)$", page.read_text(encoding="utf-8"))
     return {re.sub(r"[^\w\- ]", "", title.replace("\\", "").lower()).replace(" ", "-") for title in titles}
 
@@ -217,7 +217,7 @@ def test_every_verb_option_parameter_and_effect_is_explained() -> None:
 
 
 def test_what_is_out_of_date_is_seen_and_nothing_else_is_changed() -> None:
-    """Parts of pages, and pictures, which are compared by what they show."""
+    """Outdated parts of pages are found; pictures are compared by their content."""
     text = "before\n<!-- made: frames -->\n\nold\n\n<!-- end -->\nafter\n"
     found = generate.renewed(text, "")
     assert re.fullmatch("before\n.*slot 0 lies on its x axis.*<!-- end -->\nafter\n", found, re.DOTALL)
@@ -230,12 +230,12 @@ def test_what_is_out_of_date_is_seen_and_nothing_else_is_changed() -> None:
     assert not generate.same_picture(text, text.replace("<text", "<desc", 1))
 
 
-# The pages as they are built ---
+# The built pages ---
 
 
 @pytest.fixture(scope="module")
 def site(source_copy: Path) -> Path:
-    """The pages, built as `make docs` does from a copy of the tree."""
+    """The pages, built like `make docs` from a copy of the tree."""
     pytest.importorskip("sphinx")
     folders = [source_copy / "docs", source_copy / "docs/_build/html"]
     command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", *folders]
@@ -275,13 +275,13 @@ def test_nomenclature_figures_and_the_public_core_are_those_of_the_code(pages: d
     places = {place for page in pages.values() for place in page.values("id", "name")}
     core = ("model.load_sharing", "drive", "effects.effect", "diagnosis.diagnosis")
     assert {f"module-hd_diag.{module}" for module in core} <= places
-    # By which a phone shows a row as a list; cells without a word are left out of it.
+    # A phone shows a row as a list with these names; cells without a word are left out.
     cells = re.findall(r'<td data-name="([^"]+)"', pages["parameters.html"].source)
     assert set(cells) == {"default", "from, to", "meaning"}
     assert cells.count("default") == cells.count("meaning") > cells.count("from, to")
 
 
-# The others take a second each; contrast is the theme's, and on long tables costs ten seconds.
+# Other pages take a second each. The theme fixes the contrast; on long tables its test takes ten seconds.
 SHORT, LONG = ("index", "parameters"), ("benchmarks", "effects", "parameters", "command_line")
 SHOWN = [name.removesuffix(".md") for name in NAMES if name != "tables/README.md"]
 
@@ -300,12 +300,12 @@ def test_pages_fit_a_phone_and_a_desk(browser: Any, site: Path, name: str) -> No
 def test_one_moment_runs() -> None:
     found = load(DOCS / "examples/one_moment.py")
     assert found.error.shape == (3,)
-    assert np.all((found.peak > 10.0) & (found.peak < 60.0) & (found.error < 0.0))  # it lags
+    assert np.all((found.peak > 10.0) & (found.peak < 60.0) & (found.error < 0.0))  # the output lags
 
 
 @pytest.mark.slow
 def test_the_worked_example_is_named_by_a_diagnosis(tmp_path: Path) -> None:
-    """With its size: 1 arcsec of noise over some 12,000 samples leaves 0.02 arcsec, of 6."""
+    """The size is right: 1 arcsec of noise over about 12,000 samples leaves 0.02 arcsec, out of 6."""
     example, effect = load(DOCS / "examples/pinion_joint.py"), DOCS / "examples/encoder_pinion.py"
     motion = dataclasses.replace(example.MOTION, sample_rate=100.0)
     bag, model = tmp_path / "pinion.mcap", tmp_path / "model.json"
@@ -323,7 +323,7 @@ def test_the_worked_example_is_named_by_a_diagnosis(tmp_path: Path) -> None:
 
 
 GALLERY = sorted((DOCS / "gallery").glob("*.py"))
-LONG_SCRIPTS = ("a_fleet", "eccentricity_against_tilt", "tolerance_chart")  # over 10 s each
+LONG_SCRIPTS = ("a_fleet", "eccentricity_against_tilt", "tolerance_chart")  # more than 10 s each
 
 
 @pytest.mark.parametrize(
@@ -335,12 +335,12 @@ def test_a_script_of_the_gallery_draws_the_picture_that_is_shown(
     script: Path, tmp_path: Path, in_this_process: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("SOURCE_DATE_EPOCH", "0")  # the same file from the same data
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "0")  # makes files reproducible
     matplotlib.use("agg")
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         matplotlib.rc_file(DOCS / "gallery/matplotlibrc")
-        runpy.run_path(str(script))  # not as the main module, with which processes of a pool begin
+        runpy.run_path(str(script))  # pool workers would run the main module again
         plt.close("all")
     drawn = (tmp_path / f"{script.stem}.svg").read_text(encoding="utf-8")
     kept = script.with_suffix(".svg").read_text(encoding="utf-8")

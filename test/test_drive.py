@@ -1,4 +1,4 @@
-"""What can be computed of a drive, and signs and frames between what the robot reports and its mesh."""
+"""Results for a drive, and the signs and frames between the robot's reports and the mesh."""
 
 import dataclasses
 import math
@@ -67,7 +67,7 @@ def test_summaries_of_the_load() -> None:
         assert found.peak_load[row] == loads.max()
         assert_allclose(found.load_concentration[row], loads.max() / loads.mean(), rtol=1e-13)
         assert found.minimum_backlash[row] == np.nanmin(found.backlash[row])
-    idle = state(ALIGNED, 0.0)  # nothing is loaded in a gap at zero torque
+    idle = state(ALIGNED, 0.0)  # no pair carries load in a gap at zero torque
     assert (idle.loaded_pairs[0], idle.peak_load[0], idle.load_concentration[0]) == (0, 0, 1)
 
 
@@ -85,7 +85,7 @@ def test_lost_motion_and_overlap_by_the_first_flanks() -> None:
 
 
 def test_lobes_press_against_each_other() -> None:
-    """Displaced across the long axis, one lobe goes counter-clockwise and the other clockwise."""
+    """With a displacement across the long axis, one lobe turns counter-clockwise and the other clockwise."""
     plus, minus = state(ASTRAY, 0.0).load[0]
     first_lobe = np.roll(np.abs(np.arange(-100, 100)) < 50, -100)
     assert min(plus[first_lobe].sum(), minus[~first_lobe].sum()) > 100
@@ -94,13 +94,13 @@ def test_lobes_press_against_each_other() -> None:
 
 @pytest.mark.parametrize(("ratio", "output"), SIGNED)
 def test_the_output_turns_by_the_ratio(ratio: float, output: Output) -> None:
-    """The output is reported as it turns; a negative ratio says that the input is reported backwards."""
+    """The output is reported with its true sign; with a negative ratio, the input is reported backwards."""
     frames = (Kinematics(ratio, output, phase).frame(GEOMETRY) for phase in (0.0, 0.7))
     turned, later = (frame.wave_generator_angle(ANGLES) for frame in frames)
     assert_allclose(later - turned, 0.7, atol=1e-14)  # the phase is the long axis at input zero
-    if output == "flexspline":  # rolling in the fixed circular spline, it turns by -theta_W (Z_G - Z_R) / Z_R
+    if output == "flexspline":  # it rolls in the fixed circular spline by -theta_W (Z_G - Z_R) / Z_R
         assert_allclose(-turned * 2 / 200, ANGLES / ratio, rtol=1e-14)
-    else:  # it follows the wave generator, which seen from it turns by the difference
+    else:  # relative to the wave generator, it turns by the difference
         assert_allclose(turned, ANGLES * np.sign(ratio) - ANGLES / ratio, rtol=1e-13)
         assert_allclose(turned * 2 / 200, ANGLES / ratio, rtol=1e-13)
 

@@ -1,4 +1,4 @@
-"""The catalogue of effects: one contract for all, and what single effects must do."""
+"""The catalogue of effects: one contract for all, and properties of single effects."""
 
 import dataclasses
 import importlib
@@ -33,7 +33,7 @@ NOISE = 1.0 * ARCSEC
 EXACT = Drive(drives.mesh(eccentricity=(8e-6, 4e-6)), Kinematics(100.0, phase=0.3), 56.0)
 RUN_LENGTHS = (7000, 5000)
 
-# What a fault could be, in the order of its quantities; inside all limits, easy to see in the record below.
+# Values of a possible fault, in the order of its quantities: within all limits and easy to see below.
 VALUES: dict[str, tuple[float, ...]] = {
     "output_runout": (1e-4, 2.0),
     "output_encoder_eccentricity": (2e-4, 5.0, 2e-5, 3.0),
@@ -73,12 +73,12 @@ TRUTH = {
 
 @pytest.fixture(scope="module")
 def signals() -> Signals:
-    """Two runs of a joint that drives both ways, loaded with nested reversals, and warms up."""
+    """Two runs of a joint that moves both ways under load with nested reversals, and warms up."""
     count = sum(RUN_LENGTHS)
     run = np.repeat(np.arange(len(RUN_LENGTHS)), RUN_LENGTHS)
     jitter = np.random.default_rng(3).uniform(-0.2, 0.2, count)
     time = (np.arange(count) + jitter) / 200.0 + 10.0 * run
-    # [rad/s]: ramps both ways up to 13 turns per second, and slow stretches.
+    # [rad/s]: ramps in both directions up to 13 turns per second, and slow stretches.
     speed = 85.0 * np.sin(2 * math.pi * time / 37.0) ** 3 + 2.0 * np.sin(2 * math.pi * time / 5.0) + 40.0
     angle = np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time))))
     torque = 30.0 * np.sin(2 * math.pi * time / 11.0) + 18.0 * np.sin(2 * math.pi * time / 2.3)
@@ -106,7 +106,7 @@ def truth(effect: Effect) -> tuple[np.ndarray, tuple[float, ...]]:
 
 
 def at(signals: Signals, time: np.ndarray, **changes: object) -> Signals:
-    """The first row at other times, with what changes."""
+    """The first row at other times, with the given changes."""
     return dataclasses.replace(signals.part(np.zeros(time.size, dtype=np.int64)), time=time, **changes)
 
 
@@ -187,7 +187,7 @@ class TestContract:
         coefficients, nonlinear = truth(effect)
         start = effect.start(nonlinear)
         whole = by_run(signals, lambda run: effect.step(start, run, coefficients, nonlinear)[0])
-        # A late stream is interpolated from both sides where what comes after is known.
+        # Offline, a late stream is interpolated with samples from both sides.
         rest = 1e-12 if effect.name != "stream_delay" else 0.1
         response = effect.response(signals, coefficients, nonlinear)
         assert_allclose(response, whole, rtol=1e-12, atol=rest * np.std(whole))
@@ -272,18 +272,18 @@ def solved(columns: np.ndarray, error: np.ndarray) -> np.ndarray:
 
 
 def test_hysteresis_closes_its_loop(signals: Signals) -> None:
-    """Masing: after the first swing the elements' loop repeats; it is 2 a wide and takes work."""
+    """Masing: the loop repeats after the first swing; it is 2 a wide and dissipates work."""
     count = 401
     swing = np.concatenate([np.linspace(*ends, count) for ends in ((0, 20), (20, -20), (-20, 20))])
     loop = dataclasses.replace(signals.part(slice(0, swing.size)), torque=swing)
     z = EFFECTS["hysteresis"].columns(loop, (3.0, 1.0, 4.0, 1.5))
     assert_allclose(z[[count - 1, 2 * count - 1], 1], [1.0, -1.0], atol=1e-12)
-    assert_allclose(z[: count // 2, 0], -np.expm1(-swing[: count // 2] / 3.0), atol=1e-4)  # n = 1
+    assert_allclose(z[: count // 2, 0], -np.expm1(-swing[: count // 2] / 3.0), atol=1e-4)  # for n = 1
     down, up = z[count : 2 * count], z[2 * count :]
     assert_allclose(down[:, 1], -up[:, 1], atol=1e-12)
-    area = (up[::-1] - down).sum(axis=0) * 40.0 / (count - 1)  # 80 of a rectangle 40 x 2, less two wedges
+    area = (up[::-1] - down).sum(axis=0) * 40.0 / (count - 1)  # a rectangle of 40 x 2 minus two wedges
     assert_allclose(area[1], 80.0 - 4.0 * 4.0 * np.mean(1.5 ** np.linspace(-1, 1, 4)), rtol=0.02)
-    assert area[0] > 0.7 * area[1] > 0.0  # the work that the torque does on a link that lags, -TE, is lost
+    assert area[0] > 0.7 * area[1] > 0.0  # a lagging link, -TE, dissipates work
 
 
 def test_resonance_follows_the_equation_of_motion(signals: Signals) -> None:
@@ -300,14 +300,14 @@ def test_resonance_follows_the_equation_of_motion(signals: Signals) -> None:
 
     begun = np.array([1.0 + 0j, 0.0])
     expected = solve_ivp(push, (0.0, 4.0), begun, t_eval=time, rtol=1e-7, atol=1e-7, max_step=2e-3).y[0]
-    # Real columns of u = cos and sin: the real parts of x for exp and -i exp.
+    # Real columns for u = cos and sin: the real parts of x for exp and -i exp.
     assert np.abs(expected).max() > 5.0  # the sweep passes the resonance
     assert_allclose(found[:, 0], expected.real, atol=0.01)
     assert_allclose(found[:, 1], expected.imag, atol=0.01)
 
 
 def test_resonance_carries_the_ripple(signals: Signals) -> None:
-    """A ripple between samples that are close enough passes the spring as a turning order does."""
+    """A densely sampled ripple passes the spring like an order of rotation."""
     effect, time = EFFECTS["resonance"], np.linspace(0.0, 4.0, 8001)
     motion = {"wave_generator_angle": -20.0 * time**2, "output_angle": 0.2 * time**2, "speed": 40.0 * time}
     sweep = at(signals, time, **motion, torque=np.full(time.size, 56.0))
@@ -326,7 +326,7 @@ def test_resonance_carries_the_ripple(signals: Signals) -> None:
 
 
 def test_a_bearing_that_slips_is_followed_through_its_record(signals: Signals) -> None:
-    """A phase that creeps by more than half a turn leaves little beside a fit that lets it."""
+    """The phase creeps by more than half a turn; a fit that allows creep leaves a small residual."""
     effect, count = EFFECTS["bearing_passage"], 20_000
     angle = np.linspace(0.0, 2.0 * math.pi * 300.0, count)
     long = at(signals, angle / 20.0, wave_generator_angle=angle)
@@ -361,7 +361,7 @@ def test_a_torque_is_borne_by_the_mesh(signals: Signals, name: str) -> None:
 
 
 def test_friction_builds_up_over_a_way_and_stays_at_rest(signals: Signals) -> None:
-    """Dahl: 1 - exp(-x / x_0) on the way, kept at rest, turned round on the way back; creep lets it go."""
+    """Dahl: 1 - exp(-x / x_0) while moving, constant at rest, reversed on the way back; creep relaxes it."""
     effect = EFFECTS["coulomb_windup"]
     assert isinstance(effect, MeshTorque)
     way = np.concatenate((np.linspace(0.0, 0.5, 100), np.full(50, 0.5), np.linspace(0.5, 0.0, 100)))
@@ -371,13 +371,13 @@ def test_friction_builds_up_over_a_way_and_stays_at_rest(signals: Signals) -> No
     assert_allclose(z[100:150, 0], z[99, 0], atol=1e-12)
     assert_allclose(z[150:, 0], (1.0 + z[99, 0]) * np.exp((way[150:] - 0.5) / 0.2) - 1.0, atol=1e-12)
     slow = effect.torque(dataclasses.replace(moving, speed=np.zeros(way.size)), (1e-3, 0.25, 1.0, 5.0))
-    assert_allclose(slow[50], 2.0 * 0.5, atol=0.02)  # 0.25 rad/s against as much creep, Stribeck double
+    assert_allclose(slow[50], 2.0 * 0.5, atol=0.02)  # 0.25 rad/s equals the creep; Stribeck doubles
     assert abs(slow[149, 0]) < 1e-12
 
 
 @pytest.mark.parametrize("law", [lambda t: t**3 / 1600.0, lambda t: 10.0 * np.tanh(t / 10.0)])
 def test_hardening_bends_as_smoothly_as_any(signals: Signals, law: Callable[[Any], Any]) -> None:
-    """A cubic and a spent spring, beside a constant compliance: to some hundredths of what that leaves."""
+    """A fitted cubic or saturating spring leaves under a tenth of a constant compliance's residual."""
     torque = np.linspace(-60.0, 60.0, signals.size)
     ramp, effect = dataclasses.replace(signals, torque=torque), EFFECTS["torsional_hardening"]
 
@@ -419,7 +419,7 @@ def test_scan_leaves_others_orders_alone(signals: Signals, order: float) -> None
 
 
 def test_no_bearing_slips_beside_a_stronger_loaded_wave(signals: Signals) -> None:
-    """Its plain sum is nothing under torques of both signs, but what leaks from it is not."""
+    """The loaded wave's plain sum vanishes under torques of both signs, but its leakage does not."""
     effect, angle = EFFECTS["bearing_passage"], signals.wave_generator_angle
     weak, load = 0.2 * np.cos(10.2537 * angle), signals.torque / np.std(signals.torque)
     assert any(slips for _, slips in effect.starts(signals, weak).points)
@@ -439,7 +439,7 @@ def test_scan_finds_the_tooth(signals: Signals, member: float, count: int, tooth
 
 
 def test_standard_deviations_are_propagated() -> None:
-    """Amplitude and direction of a cosine and a sine part: sigma and sigma over k a."""
+    """Amplitude and direction of a cosine and sine part have deviations sigma and sigma / (k a)."""
     effect = EFFECTS["flexspline_pitch"]
     coefficients, _ = truth(effect)
     sigma = 1e-8
@@ -450,7 +450,7 @@ def test_standard_deviations_are_propagated() -> None:
 
 
 def test_a_pitch_error_under_a_preload_is_alike_under_any_torque(signals: Signals) -> None:
-    """The teeth that are ahead are the same as where the pairs that bear make the wave."""
+    """The same teeth are ahead as in the wave of the loaded pairs."""
     effect, contact = EFFECTS["flexspline_pitch"], signals.contact
     found, by_pairs = effect.columns(signals, (1.0,)), effect.columns(signals, (0.0,))
     waves = np.hstack([turning(order * signals.flexspline_angle) for order in (2, 4)])
@@ -461,7 +461,7 @@ def test_a_pitch_error_under_a_preload_is_alike_under_any_torque(signals: Signal
 
 
 def test_lines_of_an_output_encoder_are_a_multiple_of_four(signals: Signals) -> None:
-    """An odd order per output turn has no name, and neither have its side lobes."""
+    """Odd orders per output turn have no name, and neither have their side lobes."""
     effect, turn = EFFECTS["output_encoder_interpolation"], 2.0 * np.pi * np.linspace(0.0, 0.8, 8000)
     moved = at(signals, np.arange(8000) * 0.01, output_angle=turn, speed=np.full(8000, 2.0))
 
@@ -473,7 +473,7 @@ def test_lines_of_an_output_encoder_are_a_multiple_of_four(signals: Signals) -> 
 
 
 def test_an_encoder_s_lines_are_looked_for_where_samples_show_them(signals: Signals) -> None:
-    """Where the joint is fast 128 lines turn by a whole period a sample: an image of any constant."""
+    """In fast motion 128 lines turn by a whole period per sample, so they look like a constant."""
     effect = EFFECTS["output_encoder_interpolation"]
     speed = np.repeat([1.0, 100.0 * 2.0 * np.pi / 128.0 / 0.01], 4000)
     turn = np.cumsum(speed) * 0.01 / 100.0
@@ -491,16 +491,16 @@ def test_an_encoder_s_lines_are_looked_for_where_samples_show_them(signals: Sign
         ("hysteresis", (2e-5, -3e-6), (), True),
         ("hysteresis", (-1e-5, 2e-5), (), False),
         ("torsional_hardening", (1e-6, -2e-6), (9.0, 38.0, 0.1), True),
-        ("torsional_hardening", (2e-4, -7e-4), (0.2, 48.0, 0.4), True),  # one smooth curve of two large
+        ("torsional_hardening", (2e-4, -7e-4), (0.2, 48.0, 0.4), True),  # a smooth curve from two large parts
         ("torsional_hardening", (1e-6, 1e20), (9.0, 38.0, 0.1), False),
         ("torsional_hardening", (1e-6, 1e-2), (9.0, 400.0, 0.3), False),  # a knee beyond all torques
         ("coulomb_windup", (1.0,), (0.003, 0.1, 0.0, 10.0), True),
-        ("coulomb_windup", (-1.0,), (0.003, 0.1, 0.0, 10.0), False),  # friction drives nothing
+        ("coulomb_windup", (-1.0,), (0.003, 0.1, 0.0, 10.0), False),  # friction cannot drive
         ("viscous_windup", (1.0,), (0.75,), True),
         ("viscous_windup", (-1.0,), (0.75,), False),
         ("coupling_misalignment", (1e-3, 0.0, 3e-4), (1.0,), True),
         ("coupling_misalignment", (1e-3, 0.0, 0.0), (0.0,), True),
-        ("coupling_misalignment", (1e-3, 0.0, -1e-4), (1.0,), False),  # so much play is friction
+        ("coupling_misalignment", (1e-3, 0.0, -1e-4), (1.0,), False),  # so much play acts as friction
         ("coupling_misalignment", (1e-3, 0.0, 2e-3), (1.0,), False),
     ],
 )
@@ -509,7 +509,7 @@ def test_what_is_another_cause(name: str, coefficients: tuple, nonlinear: tuple,
 
 
 def test_a_late_stream_does_not_average_the_input_s_counts(signals: Signals) -> None:
-    """A part of a sample late, it would follow them, and less noise than there is would speak for a delay."""
+    """A delay by part of a sample could average the counts; lower noise would then falsely support it."""
     delay, late, step = EFFECTS["stream_delay"], np.array([4.5e-5]), 1.5e-5
     counted = dataclasses.replace(signals, output_angle=step * np.rint(signals.output_angle / step))
     error = counted.output_angle - signals.output_angle
@@ -520,7 +520,7 @@ def test_a_late_stream_does_not_average_the_input_s_counts(signals: Signals) -> 
 
 
 def test_a_late_output_is_not_interpolated_across_rows_left_out(signals: Signals) -> None:
-    """Beside a row that stands alone, as between stretches of a long record, it is late to first order."""
+    """At an isolated row, as between stretches of a long record, the delay acts to first order."""
     effect, coefficients = EFFECTS["stream_delay"], np.array([3e-4])
     alone, gap = signals.size // 2 + 700, 600
     kept = np.delete(np.arange(signals.size), np.r_[alone - gap : alone, alone + 1 : alone + gap])

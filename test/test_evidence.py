@@ -1,4 +1,4 @@
-"""Evidence of sets of columns: sizes integrated out, against densities and fits written out in full."""
+"""Evidence of sets of columns with sizes integrated out, against explicit densities and fits."""
 
 import itertools
 from typing import NamedTuple
@@ -23,16 +23,16 @@ WIDTHS = [
     for names in itertools.combinations(USUAL, count)
     for widths in itertools.product(*(CHOICES[name][0][::2] for name in names))
 ]
-"""Sets of any groups, at some widths."""
+"""Sets of any groups at some widths."""
 
 seeds = st.integers(0, 2**32 - 1)
 sets = st.sampled_from(WIDTHS)
-COPIES = 40  # more columns than are worked on at once
+COPIES = 40  # more columns than one batch holds
 few = settings(max_examples=40)
 
 
 class Problem(NamedTuple):
-    """Columns (n, k) of the base and of every group, the target (n,), and the base's prior."""
+    """Columns (n, k) of the base and of every group, the target (n,), and the prior of the base."""
 
     base: np.ndarray
     groups: dict[str, np.ndarray]
@@ -45,21 +45,21 @@ class Problem(NamedTuple):
         return self.evidence_of(*self.groups)
 
     def evidence_of(self, *names: str) -> Evidence:
-        """Of the base and some groups."""
+        """Evidence of the base with some groups."""
         columns = np.concatenate([self.base, *(self.groups[name] for name in names)], axis=1)
         square = float(self.target @ self.target)
         normal = columns.T @ columns, columns.T @ self.target, square
         return Evidence.of(*normal, self.precision, self.mean, [(name, PRIOR[name]) for name in names])
 
     def joined(self, widths: dict[str, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Columns of a set (n, k), and the mean and deviation of their coefficients, (k,)."""
+        """Columns of a set (n, k), and mean and standard deviation of their coefficients (k,)."""
         columns = np.concatenate([self.base, *(self.groups[name] for name in widths)], axis=1)
         wide = [self.precision**-0.5, *(width * USUAL[name] for name, width in widths.items())]
         deviation = np.concatenate(wide)
         return columns, np.pad(self.mean, (0, deviation.size - self.mean.size)), deviation
 
     def density(self, widths: dict[str, float]) -> float:
-        """Log density of the target with noise of variance 1 / TEMPER, and what larger widths cost."""
+        """Log density of the target at noise variance 1 / TEMPER, plus the penalty for larger widths."""
         columns, mean, deviation = self.joined(widths)
         covariance = np.eye(ROWS) / TEMPER + (columns * deviation**2) @ columns.T
         cost = LARGER * LARGER_BY.index(widths.get("remainder", 1.0))
@@ -67,7 +67,7 @@ class Problem(NamedTuple):
 
 
 def problem(seed: int) -> Problem:
-    """Random columns that are not far from each other, and a target that some of them explain."""
+    """Random similar columns, and a target that some of them explain."""
     random = np.random.default_rng(seed)
     base, common = random.normal(size=(ROWS, 3)), random.normal(size=(ROWS, 1))
     groups = {name: random.normal(size=(ROWS, usual.size)) + common for name, usual in USUAL.items()}
@@ -137,7 +137,7 @@ def test_coefficients_are_those_of_ridge_regression(seed: int, widths: dict[str,
 @few
 @given(seeds, sets, st.sampled_from(sorted(USUAL)))
 def test_information_is_what_the_set_cannot_imitate(seed: int, widths: dict[str, float], name: str) -> None:
-    """The inverse of the block that the whole information's inverse has there, without the group's prior."""
+    """Inverse of the group's block in the inverse of the full information, without the group's prior."""
     made = problem(seed)
     beside = {one: width for one, width in widths.items() if one != name}
     columns, _, deviation = made.joined(beside)
@@ -172,7 +172,7 @@ def test_what_is_kept_apart_brings_the_same(seed: int, widths: dict[str, float])
 
 
 def test_what_has_no_prior_is_as_good_as_free() -> None:
-    """Its coefficient is that of least squares, far below the deviation that stands for none."""
+    """Without a prior, the coefficient is that of least squares, far below the substitute deviation."""
     random = np.random.default_rng(1)
     columns = 1e6 * random.normal(size=(ROWS, 2))
     target = columns @ np.array([2e-4, -1e-4]) + random.normal(size=ROWS)
@@ -185,7 +185,7 @@ def test_what_has_no_prior_is_as_good_as_free() -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_columns_that_are_alike_beside_little_noise_have_an_evidence(seed: int) -> None:
-    """Rounding of their products is more than what a prior adds to them."""
+    """The rounding error of their products exceeds what a prior adds to them."""
     made = problem(seed)
     alike = {name: made.base[:, :1] * np.linspace(1e13, 2e13, size.size) for name, size in USUAL.items()}
     made = made._replace(base=1e13 * made.base, groups=alike, target=1e13 * made.base[:, 0])

@@ -1,4 +1,4 @@
-"""Whether a torque excites what it should: reversals that count, and a torque that is only assumed."""
+"""Whether a torque excites what it should: reversals that count, and an assumed torque."""
 
 import dataclasses
 from typing import Any
@@ -11,7 +11,7 @@ from hd_diag.effects.excitation import loaded, torque_known, torque_reverses
 from hd_diag.effects.signals import Signals
 
 COUNT = 800
-SWING = 0.1  # of the rated torque of 56 N m
+SWING = 0.1  # as a share of the rated torque of 56 N m
 
 
 @pytest.fixture(scope="module")
@@ -36,14 +36,14 @@ NOISE = np.random.default_rng(0).normal(0.0, 0.6, COUNT)
     [
         (through(0.0, 30.0, -30.0, 30.0, -30.0, 30.0), 2),  # the same loop again and again
         (through(0.0, 30.0, -30.0, 10.0, -30.0, 30.0), 3),
-        (through(0.0, 30.0, 15.0, 25.0, 20.0, 30.0), 2),  # the inner one by less than the swing
+        (through(0.0, 30.0, 15.0, 25.0, 20.0, 30.0), 2),  # the inner loop is smaller than the swing
         (through(0.0, 30.0, 10.0, 20.0, 0.0), 3),
         (through(0.0, 30.0), 0),  # never back
         (through(30.0, -30.0, 30.0), 1),
         (20.0, 0),
         (through(0.0, 30.0, -30.0, 30.0) + NOISE, 2),
         (through(0.0, 30.0, -30.0, 10.0, -30.0) + NOISE, 3),
-        # Reversals at almost the same torque are one value.
+        # Reversals at almost the same torque count as one value.
         (through(0.0, 30.0, -30.0, 31.0, -29.0, 32.0, -30.5, 30.0), 2),
         (through(0.0, 30.0, -30.0, 10.0, -20.0), 3),
     ],

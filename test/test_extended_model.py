@@ -1,4 +1,4 @@
-"""The extended model: the same one sample at a time and all at once, and nothing of the future in it."""
+"""The extended model: single samples and batches agree, and no result depends on the future."""
 
 from dataclasses import replace
 
@@ -79,7 +79,7 @@ def test_every_effect_runs(name: str) -> None:
 
 @pytest.mark.parametrize("delay", [2e-3, -2e-3])
 def test_a_remainder_beside_a_late_output_depends_on_no_chunk(delay: float) -> None:
-    """A stream does not carry what is said of the samples themselves: its rate must know nothing of it."""
+    """A remainder describes the samples themselves: the delay must not carry it, nor its rate include it."""
     line = Term(ORDERS[2], tuple(np.linspace(0.3, 1.0, ORDERS[2].size)), (1e-4, -60.0, 60.0))
     late = term("stream_delay", {"delay": delay})
     made, alone = (ExtendedModel(MODEL.drive, terms, 0.0, RANGES) for terms in ((late, line), (late,)))
@@ -126,7 +126,7 @@ def test_torques_add_up_in_the_mesh() -> None:
 
 @pytest.mark.parametrize("delay", [VALUES["stream_delay"]["delay"], 6.3e-3])
 def test_delay_looks_back(delay: float) -> None:
-    """The output is what it was then, from samples that are known when the sample comes."""
+    """The output comes from the delayed moment, interpolated between samples known at that time."""
     ratio, given = MODEL.drive.kinematics.ratio, {"delay": delay}
     made = replace(MODEL, effects=(term("stream_delay", given),))
     time, torque = 1e-3 * np.arange(COUNT), np.full(COUNT, 10.0)
@@ -135,7 +135,7 @@ def test_delay_looks_back(delay: float) -> None:
     late = whole(made, **columns) - whole(model(), **columns)
     before, after = (angle / ratio + transmission_error(MODEL.drive, angle, torque) for angle in (now, then))
     expected = after - before
-    # Teeth pass by faster than these samples: 0.1 arcsec of them is not between samples.
+    # Teeth pass faster than these samples: interpolation misses 0.1 arcsec.
     assert_allclose(late[10:], expected[10:], rtol=0.0, atol=1e-6)
 
 
@@ -145,7 +145,7 @@ def test_without_a_temperature_there_is_no_drift(heat: Column | None) -> None:
 
 
 def test_a_resonance_of_a_joint_that_is_met_in_motion_starts_steady() -> None:
-    """At constant speed the amplitude is that of the steady state from the second sample on."""
+    """At constant speed the amplitude is the steady state's from the second sample on."""
     time = 1e-3 * np.arange(COUNT)
     angle = 25.0 * time + 4.0
     columns = {"time": time, "input_angle": angle, "torque": np.full(COUNT, 10.0)}

@@ -1,4 +1,4 @@
-"""From a measured bag to a model that runs: written, loaded, and as good on the record as was told."""
+"""From a measured bag to a running model: written, loaded, and as accurate on the record as stated."""
 
 import json
 from pathlib import Path
@@ -25,7 +25,7 @@ NOISE = 1e-5  # [rad]
 
 
 def runs(number: int) -> tuple[np.ndarray, np.ndarray]:
-    """Input angle [rad] and torque [N m] of runs at different speeds, with rests between; (n,) each."""
+    """Input angle [rad] and torque [N m], (n,) each: runs at different speeds with rests between them."""
     speeds = [(-1) ** (i // 2) * (20.0 + 10.0 * (i % 5)) for i in range(number)]
     per_run, rest = 750, 100
     shape = np.concatenate((np.zeros(rest), np.sin(np.linspace(0.0, np.pi, per_run - rest)) ** 2))
@@ -81,14 +81,14 @@ def test_the_verdict_names_the_file_and_its_evidence(folder: Path) -> None:
 
 
 def test_the_model_as_it_runs_is_as_good_as_told(folder: Path, joint: JointConfig) -> None:
-    """No worse on all rows, most of which it was fitted to, than was told of rows that no fit saw."""
+    """On all rows, most of them fitted, the residual does not exceed that stated for held-out rows."""
     verdict = json.loads((folder / "verdict.json").read_text())
     assert 0.9 < np.std(fit(joint, folder)[1]) / verdict["extended"]["rms_live"] < 1.02
-    # Functions that it holds have a part of the noise that they were fitted to.
+    # Its fitted functions contain part of the noise.
     assert verdict["extended"]["rms_live"] == pytest.approx(NOISE, rel=0.12)
     assert verdict["extended"]["rms"] == pytest.approx(NOISE, rel=0.12)
     assert verdict["refit"]["rms"] > 4.5 * NOISE
-    # The next diagnosis is of the configured joint: of the parameters before the fit.
+    # The next diagnosis starts from the configured joint, that is from the parameters before the fit.
     assert abs(joint.configured.mesh.eccentricity) == 0.0
     assert abs(joint.drive.mesh.eccentricity) == pytest.approx(9e-6, rel=0.05)
 

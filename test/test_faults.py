@@ -1,4 +1,4 @@
-"""The table of faults (`faults.py`), run through the command line; the node's part is in test_node.py."""
+"""The table of faults (`faults.py`), run through the command line; test_node.py tests the node's part."""
 
 import ast
 import os

@@ -1,4 +1,4 @@
-"""What is said first: a wrong ratio, swapped joints, steps between the encoders."""
+"""Findings before the fit: a wrong ratio, swapped joints, steps between the encoders."""
 
 import dataclasses
 
@@ -42,7 +42,7 @@ def test_a_wrong_ratio_is_found_with_its_size(record: Record, true: float) -> No
 
 @pytest.mark.parametrize("held", [4, 10])
 def test_an_output_that_is_held_between_its_own_samples_has_its_ratio(held: int) -> None:
-    """It comes at a fraction of the input's rate, and every row repeats the last one that came."""
+    """The output comes at a fraction of the input's rate, and each row repeats its last value."""
     given = columns(seconds=100.0)
     last = held * (np.arange(given["time"].size) // held)
     assert check_ratio(prepared(given | {"output": given["output"][last]}), RATIO) is None
@@ -50,7 +50,7 @@ def test_an_output_that_is_held_between_its_own_samples_has_its_ratio(held: int)
 
 @pytest.mark.parametrize("fraction", [1.2e-4, 1e-4, -3e-4, 1e-3])
 def test_a_ratio_that_is_slightly_wrong_is_found_as_a_ramp(record: Record, fraction: float) -> None:
-    """Between dropouts too: no piece of half a second leans enough, but all of a recording have one zero."""
+    """Also with dropouts: half a second shows too little slope, but a recording's pieces share one zero."""
     wrong = scaled(record, 1.0 + fraction)
     assert check_ratio(wrong, RATIO) is None
     pieces = dataclasses.replace(wrong, run=np.arange(record.size) // 100)
@@ -61,7 +61,7 @@ def test_a_ratio_that_is_slightly_wrong_is_found_as_a_ramp(record: Record, fract
 
 @pytest.mark.parametrize("seconds", [17.5, 24.0, 47.0])
 def test_a_large_eccentricity_over_a_part_of_a_turn_is_no_ramp(seconds: float) -> None:
-    """One way, one load: ripple that ends anywhere in its turn must not lean."""
+    """One direction, one load: ripple over any part of its turn must not look like a slope."""
     count = round(250.0 * seconds)
     drive = joint(eccentricity__magnitude=18e-6).drive
     motion = Motion(60.0, 250.0, (13.2,), (14.0,), both_directions=False, ramp_share=0.01, rest_share=0.0)
@@ -75,7 +75,7 @@ def test_a_large_eccentricity_over_a_part_of_a_turn_is_no_ramp(seconds: float) -
 
 @pytest.mark.parametrize("phase", [0.5, 2.0, -1.0])
 def test_an_encoder_disc_off_centre_is_no_ramp(record: Record, phase: float) -> None:
-    """Over half a turn, once and twice per output turn lean together."""
+    """Over half a turn, orders 1 and 2 of the output together look like a slope."""
     turn = record.input_angle / RATIO - phase
     error = 45.0 * ARCSEC * (np.cos(turn) + 0.3 * np.cos(2.0 * turn - 1.0))
     disc = dataclasses.replace(record, output_angle=record.output_angle + error)
@@ -87,7 +87,7 @@ def test_an_encoder_disc_off_centre_is_no_ramp(record: Record, phase: float) -> 
     ("family", "seed"), [("robot_single", 716), pytest.param("robot_pair", 4001, marks=pytest.mark.slow)]
 )
 def test_torsion_that_goes_with_position_is_no_ramp(family: str, seed: int) -> None:
-    """A robot's arm over half a turn: what its spring's law leaves leans like a ramp."""
+    """A robot's arm over half a turn: the residual of its spring's law looks like a ramp."""
     arm = generated(families.made(family, seed))
     assert check_ratio(arm, RATIO) is None
     assert check_ramp(arm, RATIO) is None
@@ -95,7 +95,7 @@ def test_torsion_that_goes_with_position_is_no_ramp(family: str, seed: int) -> N
 
 
 def test_torsion_of_a_spring_under_a_noisy_torque_is_no_ramp(record: Record) -> None:
-    """Both are in proportion to the angle, and the noise takes its part from the torque alone."""
+    """Torque and torsion follow the angle, and noise reduces only the torque's fitted share."""
     noise = np.random.default_rng(0).standard_normal((2, record.size))
     turned = record.input_angle / RATIO
     torque = 20.0 * turned / float(np.max(np.abs(turned)))
@@ -145,13 +145,13 @@ def test_skipped_teeth_are_counted(record: Record, teeth: float, said: str) -> N
     assert (finding.name, finding.fatal) == ("tooth_skip", False)
     assert finding.value == pytest.approx(teeth * PITCH, abs=10.0 * ARCSEC)
     assert finding.text.endswith(f"at {wrong.time[9000]:.3f} s: {said}")
-    # What a step is misread by would be left as a drift.
+    # An error in the size of a step would remain as a drift.
     off = 1e-9 if teeth == round(teeth) else 10.0 * ARCSEC
     assert np.max(np.abs(wrong.output_angle - correction - record.output_angle)) < off
 
 
 def test_a_tooth_is_skipped_as_the_torque_gives_way(record: Record) -> None:
-    """The drive springs back meanwhile, by more than a step of whole teeth may be misread."""
+    """The drive springs back meanwhile, by more than the tolerance for a whole-tooth step."""
     rows = np.arange(record.size)
     torque = np.where((rows > 8970) & (rows < 9000), 150.0, 0.0)
     twisted = dataclasses.replace(record, torque=torque, output_angle=record.output_angle - 2e-5 * torque)
@@ -173,7 +173,7 @@ def test_two_steps_in_a_run(record: Record) -> None:
 
 @pytest.mark.parametrize(("runs", "turned"), [(1, 1.0), (700, 1.0), (1800, 1.0), (1800, -1.0)])
 def test_the_ratio_is_checked_in_runs_of_any_length(record: Record, runs: int, turned: float) -> None:
-    """Of 20,000 samples: stretches in which a record is usually read are longer than a run of 11."""
+    """20,000 samples in up to 1800 runs: a run of 11 is shorter than the usual stretch of the check."""
     given = scaled(record, 3.0 * turned)
     pieces = dataclasses.replace(given, run=np.arange(record.size) * runs // record.size)
     found = check_ratio(pieces, RATIO * turned)

@@ -1,4 +1,4 @@
-"""The model's parameters as numbers to fit: derivatives, symmetry, bounds, what people read."""
+"""The model's parameters as fit variables: derivatives, symmetry, bounds, and values for people."""
 
 import dataclasses
 from typing import Any
@@ -51,7 +51,7 @@ def test_vector_and_drive_are_inverse_with_these_units() -> None:
     [(CONFIGURED, index) for index in range(PARAMETERS)] + [(CUP, index) for index in (0, 3, 7, 8)],
 )
 def test_derivatives_are_finite_differences(configured: Drive, index: int) -> None:
-    """Piecewise smooth: in a step of 2e-3 units about one moment in a hundred gains or loses a contact."""
+    """The error is piecewise smooth: over a step of 2e-3 units, 1 % of the moments gain or lose a contact."""
     point = astray(configured)
     step = np.zeros(point.size)
     step[index] = 1e-3
@@ -66,7 +66,7 @@ def test_derivatives_are_finite_differences(configured: Drive, index: int) -> No
 
 
 def test_a_long_record_is_solved_at_nodes() -> None:
-    """Except for the steps, a quarter of a tooth each, in which pairs come into load and slopes jump."""
+    """The nodes are a quarter of a tooth apart; slopes jump where pairs come into load."""
     error, exact, slope = fit_parameters.along(DRIVE, CONFIGURED, LONG_ANGLE, LONG_TORQUE, 10**6)
     value, found, found_slope = fit_parameters.along(DRIVE, CONFIGURED, LONG_ANGLE, LONG_TORQUE)
     loaded = np.abs(LONG_TORQUE) > 0.5
@@ -74,7 +74,7 @@ def test_a_long_record_is_solved_at_nodes() -> None:
     for column, expected in zip((*found.T, found_slope), (*exact.T, slope), strict=True):
         assert np.std(column - expected) < 0.1 * np.std(expected)
         assert column @ expected / (expected @ expected) == pytest.approx(1.0, abs=0.005)
-    # Without torque it is the middle of the gap.
+    # Without torque the error is the middle of the gap.
     middle = transmission_error(DRIVE, LONG_ANGLE, 0.0 * LONG_TORQUE)
     idle = fit_parameters.along(DRIVE, CONFIGURED, LONG_ANGLE, 0.0 * LONG_TORQUE)[0]
     assert np.std(idle - middle) < 0.05 * ARCSEC
@@ -91,7 +91,7 @@ def test_slope_by_torque_is_a_finite_difference() -> None:
 
 @pytest.mark.parametrize("configured", [CONFIGURED, CUP, RING], ids=["plane", "cup", "ring"])
 def test_displacements_that_are_turned_are_the_same_drive(configured: Drive) -> None:
-    """All by half a turn; of a ring the tilt alone too."""
+    """A half turn of all displacements gives the same drive; in a ring, so does one of the tilt alone."""
     point = astray(configured)
     covariance = np.diag(np.arange(1.0, 1.0 + point.size) ** 2) * 1e-2
     plain = fit_parameters.physical(point, covariance, configured)
@@ -143,7 +143,7 @@ def test_any_step_ends_in_a_drive(values: list[float], configured: Drive) -> Non
 @pytest.mark.parametrize("scale", [0.32, 0.56, 2.0])
 @pytest.mark.parametrize("end", [-1.0, 1.0])
 def test_bounds_go_with_the_module(scale: float, end: float) -> None:
-    """At every bound a small or a large gear is still one; in its own units it is like any other."""
+    """At every bound a small or large gear stays valid; in its own units it equals any other."""
     own = scaled(CONFIGURED, scale)
     assert fit_parameters.units(own)[:5] == pytest.approx(scale * fit_parameters.units(CONFIGURED)[:5])
     assert fit_parameters.vector(own, own) == pytest.approx(fit_parameters.vector(CONFIGURED, CONFIGURED))

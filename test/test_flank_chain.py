@@ -1,4 +1,4 @@
-"""Flanks of one's own: chains against the double arc, an involute's closed form and a brute force."""
+"""User-defined flanks: chains against the double arc, an involute's closed form and brute force."""
 
 import dataclasses
 import math

@@ -1,4 +1,4 @@
-"""What a run keeps: the journal that survives a crash, and the table in Parquet."""
+"""Stored results of a run: the journal that survives a crash, and the table in Parquet."""
 
 from pathlib import Path
 
@@ -34,7 +34,7 @@ def test_results_are_there_at_once_and_later(tmp_path: Path) -> None:
 
 
 def test_every_cut_of_a_journal_is_read_and_written_on(tmp_path: Path) -> None:
-    """Wherever a crash cuts it, whole lines count and the next result is not lost in the rest."""
+    """For a crash at any byte, whole lines count, and the next result is not lost in the rest."""
     path = tmp_path / "j"
     with Journal(path) as journal:
         journal.add("a", {"n": 1})
@@ -51,7 +51,7 @@ def test_every_cut_of_a_journal_is_read_and_written_on(tmp_path: Path) -> None:
 
 
 def test_a_result_that_has_changed_is_none(tmp_path: Path) -> None:
-    """Whichever bit of a journal is flipped: what is left is what was written. Lines of others are none."""
+    """With any bit flipped, all results read are unchanged. Lines of other origin do not count."""
     path = tmp_path / "j"
     rows = {"a": {"size": 9.26e-6, "joint": "é"}, "b": {"size": 1.5, "joint": None}}
     with Journal(path) as journal:

@@ -1,4 +1,4 @@
-"""The fleet's weekly page: read at a desk and on a phone, filtered, with names that want to be markup."""
+"""The fleet's weekly page: at a desk and on a phone, filtered, with names that look like markup."""
 
 import re
 from pathlib import Path
@@ -21,14 +21,14 @@ def page_of(rows: list[dict[str, Any]]) -> str:
 
 
 def written(path: Path, rows: list[dict[str, Any]]) -> str:
-    """Address of the page of these rows."""
+    """Write the page of these rows; returns its address."""
     path.write_text(page_of(rows), encoding="utf-8")
     return path.as_uri()
 
 
 @pytest.fixture(scope="module")
 def some(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """Address of a page of five robots, with every state and a name that wants to be markup."""
+    """Address of a page of five robots, with every state and a name that looks like markup."""
     folder = tmp_path_factory.mktemp("page")
     rows = fleet_rows(robots=5)
     hostile = {"robot": "robot_6", "bag": f"{HOSTILE}.mcap", "joint": HOSTILE, "verdict": HOSTILE}
@@ -53,7 +53,7 @@ def test_a_fleet_of_240_joints_fits_both_windows(browser: Any, tmp_path: Path) -
         assert whole == seen <= width
         assert len(browser.execute_script(ROWS)) == 240
     marks = "return document.querySelector('.robots').getBoundingClientRect().height"
-    assert browser.execute_script(marks) < 800  # of the window: the whole fleet at one look
+    assert browser.execute_script(marks) < 800  # pixels of the window: the whole fleet in one view
 
 
 def test_names_out_of_a_bag_do_nothing(browser: Any, some: str) -> None:
@@ -73,11 +73,11 @@ def test_the_worst_come_first_and_can_be_chosen(browser: Any, some: str) -> None
 
     assert len(shown()) == 31
     red = shown("show-red")
-    assert red == [name for name in shown("show-all") if name in red]  # they come first
+    assert red == [name for name in shown("show-all") if name in red]  # red joints come first
     assert [name.split()[0] for name in red] == ["robot_5", "robot_6", "robot_2"]
     assert len(shown("show-look")) == 31 - len(shown("show-green")) == 7
     assert set(shown("robot-0", "show-all")) == {f"robot_1 joint_{number}" for number in range(1, 7)}
-    # What a mark of the overview leads to is shown, whatever was chosen.
+    # A click on a mark in the overview shows its joints, whatever the filter.
     hidden = browser.find_element("css selector", ".chips a.red")
     browser.execute_script("arguments[0].click()", hidden)
     assert set(shown()) - {f"robot_1 joint_{number}" for number in range(1, 7)} == {"robot_2 joint_2"}
@@ -108,7 +108,7 @@ def test_what_is_missing_stands_before_the_joints(some: str) -> None:
 
 
 def test_what_changed_stands_in_its_row_with_its_day() -> None:
-    """A drift towards the limit, and the day on which that is reached."""
+    """A drift towards the limit, and the day on which it reaches the limit."""
     page = page_of([row(30.0 + 2.0 * n, start=BEGIN + n * DAY, bag=f"{n}.mcap") for n in range(16)])
     assert "1 changed over time" in page
     drift = re.search(r"transmission error drifts by \+60.*?reaches the limit of 90 arcsec on ([\d-]+)", page)

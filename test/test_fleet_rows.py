@@ -1,4 +1,4 @@
-"""Rows of the fleet's table: which bags and joints, what is kept of a diagnosis, rows as series over time."""
+"""Rows of the fleet's table: bags and joints, fields kept of a diagnosis, rows as time series."""
 
 import hashlib
 import math
@@ -25,7 +25,7 @@ ENCODER, HYSTERESIS, BEARING = (
 
 
 def test_a_finding_about_the_signals_is_no_cause() -> None:
-    """Causes, amplitudes and their deviations are as many."""
+    """Causes, amplitudes and their deviations have the same number."""
     found = diagnosis(findings=(Finding("clock_set_back", "the clock was set back", 1.0, "-", False), SKIP))
     told = judged(found, "joint_1")
     lengths = [len(told[f"cause_amplitude{end}"]) for end in ("s_rad", "_stds_rad")]
@@ -33,7 +33,7 @@ def test_a_finding_about_the_signals_is_no_cause() -> None:
 
 
 def test_the_deviation_of_an_amplitude_is_that_of_drawn_coefficients() -> None:
-    """Of a cause without nonlinear values, of one with them, and of one with columns that wander."""
+    """Causes without nonlinear values, with nonlinear values, and with columns that wander."""
     made = bench(of(ENCODER, amplitude=1e-3, direction=0.5, second_amplitude=0.0, second_direction=0.0))
     chosen = tuple((effect, tuple(made.data.grid(effect)[-1])) for effect in (ENCODER, HYSTERESIS, BEARING))
     rng = np.random.default_rng(0)
@@ -52,7 +52,7 @@ def test_the_deviation_of_an_amplitude_is_that_of_drawn_coefficients() -> None:
 
 
 def test_bags_in_folders_at_any_depth_each_once(tmp_path: Path) -> None:
-    """A folder with metadata is one bag, whatever is in it; links are not followed in circles."""
+    """A folder with metadata is one bag, whatever it contains; circular links are not followed."""
     names = "b/2.mcap b/10.db3 a/metadata.yaml a/a_0.mcap a/deep/x.mcap notes.txt z.mcap"
     for path in map(tmp_path.joinpath, names.split()):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -73,7 +73,7 @@ def test_a_folder_that_cannot_be_listed_is_reported(tmp_path: Path) -> None:
 
 
 def test_a_survey_and_the_tasks_of_the_joints_that_a_bag_holds(tmp_path: Path) -> None:
-    """One of two angles is enough to be asked for, and reported with why it is not judged."""
+    """One of two angles is enough for a task, which reports why the joint is not judged."""
     names = ("joint_2", "joint_3", "joint_3_motor")
     path = fleet_tasks.small_bag(tmp_path / "a.mcap", 3, names)
     seen = survey(str(path))

@@ -1,4 +1,4 @@
-"""How each joint stands: one rule for green, amber, red and not judged; since when; what is missing."""
+"""State of each joint: one rule for green, amber, red and not judged; since when; what is missing."""
 
 from typing import Any
 
@@ -62,7 +62,7 @@ def test_the_rule(given: dict[str, Any], state: str, reason: str | None) -> None
 
 
 def test_what_could_not_be_judged_is_never_green() -> None:
-    """Its last recording counts, however good those before were."""
+    """The last recording counts, however good the earlier ones were."""
     found = judged(weeks({}, {}, {"error": "too short: 12 usable samples", "error_rad": None}))
     (one,) = found.standings
     assert (one.colour.state, one.count, one.before) == ("not_judged", 1, "green")
@@ -70,7 +70,7 @@ def test_what_could_not_be_judged_is_never_green() -> None:
 
 
 def test_since_when() -> None:
-    """Of the last state without another between; a recording that was not judged says nothing."""
+    """The start of the last unbroken state; a recording without a judgement does not break it."""
     bad = {"arcsec": 120.0}
     (one,) = judged(weeks(bad, {}, bad, GREY | {"arcsec": 40.0}, bad)).standings
     assert (one.colour.state, one.count, one.before) == ("red", 2, "green")

@@ -1,4 +1,4 @@
-"""Steps and drifts are found where they are, and in constant series no more often than stated."""
+"""Steps and drifts are found where they exist; constant series raise no more alarms than stated."""
 
 import math
 from itertools import pairwise, permutations
@@ -37,7 +37,7 @@ def noise(seed: int, size: int, std: np.ndarray | float = SIGMA) -> np.ndarray:
 
 
 def most_of(count: int) -> int:
-    """False alarms that so many constant series exceed with a chance of 0.1 % at the stated rate."""
+    """Limit that false alarms of `count` constant series exceed with 0.1 % probability at the stated rate."""
     return int(stats.binom.isf(1e-3, count, FALSE_ALARM))
 
 
@@ -46,7 +46,7 @@ def most_of(count: int) -> int:
 
 @pytest.mark.parametrize("kind", ["equal", "uneven", "understated", "heavy tails"])
 def test_false_alarms_are_as_rare_as_stated(kind: str) -> None:
-    """Also where deviations differ, are ten times too small, or noise is not Gaussian."""
+    """Also if deviations differ, are ten times too small, or the noise is not Gaussian."""
     count, size, alarms = 150, 20, 0
     for seed in range(count):
         rng = np.random.default_rng(seed)
@@ -57,7 +57,7 @@ def test_false_alarms_are_as_rare_as_stated(kind: str) -> None:
 
 
 def test_false_alarms_of_a_whole_run_are_as_rare() -> None:
-    """Twelve series together raise one no more often than one alone."""
+    """Twelve series together raise an alarm no more often than one alone."""
     runs = 25
     found = [trends([series(noise(100 * run + i, 15)) for i in range(12)]) for run in range(runs)]
     assert sum(any(t.form != "constant" for t in each) for each in found) <= most_of(runs)
@@ -95,7 +95,7 @@ def test_intervals_of_a_step_hold_as_often_as_they_say() -> None:
 
 
 def test_poor_values_hide_no_step_and_a_wild_one_is_none() -> None:
-    """They would hide it if they counted as much as the others."""
+    """They would hide the step if they had the same weight as the others."""
     value = noise(1, 20)
     value[10] += 30.0 * SIGMA
     assert trend_of(value).form == trend_of(np.full(20, 3.0), 0.0).form == "constant"
@@ -110,7 +110,7 @@ PAIRS = st.tuples(st.floats(-1e3, 1e3), st.floats(0.01, 100.0))
 
 @given(st.lists(PAIRS, min_size=2 * LEAST, max_size=20), st.floats(-1e6, 1e6))
 def test_gains_are_the_fall_of_the_squares(pairs: list[tuple[float, float]], shift: float) -> None:
-    """Computed split by split, wherever zero is."""
+    """Checked split by split, for any zero of the values."""
     value, weight = np.array(pairs).T
 
     def squares(rows: slice) -> float:
@@ -124,7 +124,7 @@ def test_gains_are_the_fall_of_the_squares(pairs: list[tuple[float, float]], shi
 
 
 def test_segments_have_the_least_penalised_cost() -> None:
-    """Against every way to cut a short series."""
+    """Against every possible division of a short series."""
     rng = np.random.default_rng(0)
     for _ in range(20):
         value, weight = rng.standard_normal(11).cumsum(), rng.uniform(0.5, 2.0, 11)
@@ -151,7 +151,7 @@ def test_too_few_values_tell_nothing_and_say_how_many_are_needed() -> None:
 
 
 def test_the_clearest_step_of_so_few_is_just_rare_enough() -> None:
-    """By all orders of its values: with one value less nothing could be reported."""
+    """Over all orders of its values: with one value fewer, no step could be reported."""
 
     def least_p(number: int) -> float:
         value = np.where(np.arange(number) < number // 2, 0.0, 1.0)
@@ -168,7 +168,7 @@ def test_the_clearest_step_of_so_few_is_just_rare_enough() -> None:
 
 
 def test_a_drift_is_reported_with_its_slope_and_the_day_of_the_limit() -> None:
-    slope = 0.5 * SIGMA  # a day
+    slope = 0.5 * SIGMA  # per day
     count, slopes, days = 20, 0, 0
     for seed in range(count):
         found = trend_of(slope * np.arange(30) + noise(seed, 30), limit=slope * 50)

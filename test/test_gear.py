@@ -1,4 +1,4 @@
-"""A drive from its catalogue page: similarity, stiffness, the section of a file, the verb, the check."""
+"""A drive from its catalogue page: similarity, stiffness, section of a file, verb, check."""
 
 import dataclasses
 import importlib
@@ -82,7 +82,7 @@ def of_page(name: str, joint: str = "joint_1", beside: dict[str, Any] | None = N
 
 @pytest.mark.parametrize("name", ["8/50", "65/160"])
 def test_what_is_usual_of_causes_goes_with_the_gear(name: str) -> None:
-    """Pages say by how much: lengths go with the diameter over the teeth, torques with the rated torque."""
+    """The scale: lengths go with the diameter over the teeth, torques with the rated torque."""
     size, ratio, rated = PAGES[name][:3]
     expected = {"m": (size / ratio) / (25 / 100), "N m": rated / 56.0, "rad/(N m)": 56.0 / rated}
     drive, angle = of_page(name).joints[0].drive, np.linspace(0.0, 60.0, 600)
@@ -107,7 +107,7 @@ def test_what_is_usual_of_causes_goes_with_the_gear(name: str) -> None:
 def test_a_model_file_holds_what_its_gear_can_have(
     name: str, fits: bool, cause: str, values: dict[str, float]
 ) -> None:
-    """150 um of wear is half a tooth of the small gear, 5 kN m thousands of times its rated torque."""
+    """150 um of wear is half a tooth of the small gear; 5 kN m is thousands of times its rated torque."""
     config, effect = of_page(name), EFFECTS[cause]
     own = {n: config.flat[f"joint_1.{n}"] for n in DEFAULTS}
     wide = tuple(dataclasses.replace(quantity, low=-1e9, high=1e9) for quantity in effect.quantities)
@@ -123,7 +123,7 @@ def test_a_model_file_holds_what_its_gear_can_have(
 
 
 def curve_off(drive: Drive, found: Page) -> Any:
-    """Mean torsion over a slot pitch by compiled code, relative to the page's piecewise line."""
+    """Mean torsion over a slot pitch by compiled code, relative to the page's piecewise linear curve."""
     k, torque = (found.k1, found.k2, found.k3), found.torques
     ends = np.cumsum([0.0, found.t1 / k[0], (found.t2 - found.t1) / k[1], 9.0 * found.t2 / k[2]])
     promised = 0.5 * found.lost_motion + np.interp(torque, [0.0, found.t1, found.t2, 10.0 * found.t2], ends)
@@ -142,8 +142,8 @@ def test_gears_in_one_section_are_as_a_fit_by_other_code_has_them(name: str) -> 
     config, expected = of_gear(table()[name], sections=1), published.PLANE_GEARS[name]
     found = assess(config, config.joints[0])
     _, page, reached = found.torsion
-    printed = np.where(page < 100.0 * ARCSEC, 0.1, 1.0)  # to a tenth, from 100 on to one
-    # 354.48 is printed as 355.
+    printed = np.where(page < 100.0 * ARCSEC, 0.1, 1.0)  # resolution: a tenth, from 100 on one
+    # 354.48 is published as 355.
     assert (np.abs(page / ARCSEC - expected.torsion) <= 0.53 * printed).all()
     assert np.abs(reached / page - 1.0).max() < 0.07
     assert found.found.lost_motion == 0.0
@@ -161,12 +161,12 @@ def test_a_gear_of_the_table_has_its_page_s_torsion_curve(name: str) -> None:
     drive, told = config.joints[0].drive, assess(config, config.joints[0])
     assert np.abs(curve_off(drive, page_of(of_joint(config.flat, "joint_1")))).max() < 0.07
     assert told.found.lost_motion == 0.0
-    # What an assembly may add to the preload goes with the module: half a micrometre or more of it is left.
+    # The preload that an assembly may add scales with the module: at least half a micrometre remains.
     turn = slot_phases(drive.mesh.geometry, 64)
     built = evaluate(drive.mesh, turn, np.zeros(64, complex), np.zeros(1)).interference.max()
     assert built < config.flat["joint_1.tolerance.limits.interference"]
     assert told.warnings == [] or drive.kinematics.ratio == 30.0
-    # Limits of forces are scaled by a law that is right within 10 %; a perfect assembly is well below them.
+    # Force limits scale by a law right within 10 %; a perfect assembly is well below them.
     assert told.found.loads.rated < config.flat["joint_1.tolerance.limits.peak_tooth_load"]
     assert told.found.loads.rated <= 0.51 * config.flat["joint_1.limits.peak_tooth_load.warn"]
 
@@ -196,7 +196,7 @@ def test_a_lost_motion_that_is_given_begins_the_curve() -> None:
 
 
 def test_the_best_place_of_the_slots_is_better_than_its_neighbours() -> None:
-    """An independent search: the miss over places 0.5 µm to either side, compliances fitted by scipy."""
+    """An independent search: miss at places 0.5 µm to either side, with compliances fitted by scipy."""
     found = page_of(of_joint(of_page("25/101").flat, "joint_1"))
     best = fitted(EXAMPLE.mesh, 1.0, 202, found)
     geometry = best.mesh.geometry
@@ -232,7 +232,7 @@ def test_the_page_of_the_example_s_size_has_the_example_s_teeth() -> None:
 
 @pytest.mark.parametrize("design", OTHERS, ids=lambda design: design.name)
 def test_the_challenge_s_own_code_makes_the_same_teeth(design: Design) -> None:
-    """Its drives have the example's clearance instead of a page's torsion curve: slots lie elsewhere."""
+    """Its drives have the example's clearance instead of a page's torsion curve, so slots lie elsewhere."""
     own, other = of_page(design.name).joints[0].drive.mesh.geometry, design.shape
     datum, tip = (getattr(own, name) - getattr(other, name) for name in PLACES)
     found = own.semi_major, own.semi_minor, own.flexspline_tip, tip - datum
@@ -334,7 +334,7 @@ def test_eccentricity_shows_at_rest_and_is_no_warning() -> None:
 
 @pytest.mark.parametrize(("deeper", "warned"), [(12e-6, False), (20e-6, True)])
 def test_an_overlap_as_built_is_warned_of_where_it_does_harm(deeper: float, warned: bool) -> None:
-    """From a quarter of limits.overlap.warn on, 11 µm: a preloaded gear has a few."""
+    """A warning comes from a quarter of limits.overlap.warn on, 11 µm; a preloaded gear has a few."""
     datum = resolve({}).flat["joint_1.circular_spline_datum"]
     config = resolve({"joint_1.circular_spline_datum": datum - deeper})
     told = assess(config, config.joints[0])
@@ -413,9 +413,9 @@ def test_limits_and_tolerances_go_with_the_drive() -> None:
 
 @pytest.mark.parametrize("name", ENDS)
 def test_an_overlap_at_its_limit_does_the_same_to_every_gear(name: str) -> None:
-    """At the warning a tooth bears about 1.45 times as much at the rated torque as without eccentricity.
+    """At the warning, a tooth bears about 1.45 times its load without eccentricity, at the rated torque.
 
-    Of the example drive, which has no preload of its own, it bears half more.
+    In the example drive, which has no preload of its own, it bears 1.5 times as much.
     """
     joint = of_page(name).joints[0]
     mesh, warn = joint.drive.mesh, joint.limits["overlap"].warn
@@ -433,7 +433,7 @@ def test_an_overlap_at_its_limit_does_the_same_to_every_gear(name: str) -> None:
 
 @pytest.mark.parametrize("name", ENDS)
 def test_defaults_of_tolerances_ask_the_same_of_every_gear(name: str) -> None:
-    """The cup's spread is the same share of the whole compliance, and no gear's own ripple is a loss."""
+    """The cup's spread is the same share of the total compliance, and a gear's own ripple is not a loss."""
     config = of_page(name)
     drive = config.joints[0].drive
     torque = drive.frame.cup_torque(np.array([drive.rated_torque]))
@@ -467,7 +467,7 @@ def test_a_page_is_set_while_a_node_runs() -> None:
         given = [Parameter(f"joint_1.{n.replace('__', '.')}", value=v) for n, v in values.items()]
         try:
             return node.set_parameters_atomically(given)
-        except ConfigError as error:  # which the node's services tell
+        except ConfigError as error:  # the node's services report it
             return SetParametersResult(successful=False, reason=str(error))
 
     try:
@@ -573,7 +573,7 @@ def test_errors_of_eccentricities_are_a_table() -> None:
     for each in content:
         assert each["order_2"] == pytest.approx(order_2(each["eccentricity"]), rel=2e-3)
     assert content[2]["order_2"] > 3.0 * content[1]["order_2"]
-    # The limit is that of `tolerance`, by overlap: here over a grid of directions and wave generator angles.
+    # The limit is that of `tolerance`, by overlap: here on a grid of directions and wave generator angles.
     direction, turn = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 180), slot_phases(drive.mesh.geometry, 8))
 
     def overlap(size: float) -> float:

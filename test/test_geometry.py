@@ -1,4 +1,4 @@
-"""Geometry of a drive, checked as a whole."""
+"""Checks of a drive's geometry as a whole."""
 
 import dataclasses
 import math

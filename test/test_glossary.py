@@ -1,4 +1,4 @@
-"""One word has one meaning: what the glossary replaces is in no module, message or page."""
+"""One word has one meaning: no module, message or page uses a word that the glossary replaces."""
 
 import re
 from pathlib import Path
@@ -9,14 +9,14 @@ ROOT = Path(__file__).resolve().parent.parent
 GLOSSARY = ROOT / "docs/glossary.md"
 ROWS = [line.strip("| ").split(" |") for line in GLOSSARY.read_text(encoding="utf-8").splitlines()[6:]]
 OLD = [word for row in ROWS if len(row) > 2 for word in re.findall(r"\*\*(.+?)\*\*", row[2])]
-REBUILT = ROOT / "hd_diag/diagnosis"  # its words follow
+REBUILT = ROOT / "hd_diag/diagnosis"  # not checked yet
 FOLDERS = {"hd_diag": "py", "bench": "py", "examples": "py", "docs": "md", "config": "yaml"}
 PAGES = [path for name, kind in FOLDERS.items() for path in sorted((ROOT / name).rglob(f"*.{kind}"))]
 TEXTS = [*PAGES, ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 
 
 def uses(text: str) -> list[str]:
-    """Old words in a text, over the ends of lines too."""
+    """Replaced words in a text, including those across line ends."""
     words = "|".join(re.escape(word).replace("\\ ", r"[\s#]+") for word in OLD)
     return re.findall(rf"(?i)\b(?:{words})\b", text)
 

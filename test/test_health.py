@@ -1,4 +1,4 @@
-"""Fault codes: each raised, told and cleared; the numbers behind them."""
+"""Fault codes: each is raised, reported and cleared; the numbers behind them."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from hd_diag.replay.map_builder import map_of
 
 NAMES = ("joint_1_motor", "joint_1")
 SECOND = 1000 * MS
-# Limits that the joint keeps where the tests overload it on purpose.
+# Limits that the joint keeps even where the tests overload it.
 QUIET = {f"joint_1__limits__peak_tooth_load__{level}": 1e3 for level in ("warn", "error")}
 QUIET["array_rate"] = 0.0
 WRITING = {"log_state": "writing x", "latency_p99_us": "81.5"}
@@ -27,14 +27,14 @@ class Life:
         self.now, self.angle = START, 0.0
 
     def take(self, stamps: np.ndarray, *columns: object) -> None:
-        """Samples: their input angles, output angles and torques, each one for all or one a sample."""
+        """Feed samples: input angles, output angles and torques, each a scalar or one value per sample."""
         angle, output, torque = (np.broadcast_to(column, stamps.shape) for column in columns)
         effort = np.stack((0.0 * torque, torque), axis=1)
         made = states(NAMES, stamps, np.stack((angle, output), axis=1), effort)
         self.monitor.mixed_states(stamps, (made,))
 
     def run(self, samples=50, torque=(1.0,), step=0.01, wobble=0.0, broken=0) -> None:
-        """Samples whose angle grows by a step [rad], under torques that repeat; the first are broken."""
+        """Feed samples with a constant step of angle [rad] and cycled torques; the first `broken` are nan."""
         number = np.arange(samples)
         stamps, angle = self.now + MS * (1 + number), self.angle + step * (1 + number)
         output = angle / RATIO + wobble * (-1.0) ** number
@@ -59,7 +59,7 @@ def code(status: Status) -> tuple[str, int]:
     return status.values["fault_code"], status.level
 
 
-# Every fault code: limits so low that a healthy joint exceeds them, or how it runs, and its silence [s].
+# Every fault code: limits that a healthy joint exceeds or how it runs, and its silence [s].
 CAUSES = [
     ("STALE", {}, {"silent": 1.0}, 1, "no valid sample for 1.0 s: its input arrives no more"),
     ("STALE", {}, {"silent": 3.0}, 2, "no valid sample for 3.0 s: its input arrives no more"),
@@ -87,7 +87,7 @@ CAUSES = [
 @pytest.mark.parametrize("is_log_failed", [False, True])
 @pytest.mark.parametrize(("codes", "limits", "how", "level", "message"), CAUSES)
 def test_a_fault_is_raised_and_cleared(life: Life, codes, limits, how, level, message, is_log_failed) -> None:
-    """The worst is told, and before what is wrong with the log, a warning as well as an error."""
+    """The worst fault is reported, before warnings and errors of the log."""
     log = {"log_state": "failed: disk full", "log_warning": "old.mcap cannot be deleted"}
     life.monitor.configure(config(**QUIET | {f"joint_1__limits__{name}": x for name, x in limits.items()}))
     life.run(**{name: value for name, value in how.items() if name != "silent"})
@@ -129,7 +129,7 @@ ABSENT = [
 
 @pytest.mark.parametrize(("position", "given", "why"), ABSENT, ids=[why for *_, why in ABSENT])
 def test_a_stale_joint_says_what_arrives_in_its_place(position, given: dict[str, str], why: str) -> None:
-    """Whenever it came, since the report before or the two before that."""
+    """The arrival may lie in the last report's time or in the two before it."""
     life = Life(**{f"joint_1__limits__rejected__{level}": 1.0 for level in ("warn", "error")}, **given)
     life.report()
     life.now += SECOND
@@ -158,7 +158,7 @@ EFFORTS += [([5e-324, -5e-324], "is never beyond 4.94e-324 N m"), ([999.0], "is 
 
 @pytest.mark.parametrize(("effort", "said"), [*EFFORTS, ([0.0, 0.2], "")])
 def test_a_torque_that_nothing_measured_is_told(effort: list[float], said: str) -> None:
-    """Once the joint turns: at rest a torque may be zero."""
+    """The report waits until the joint turns: at rest a torque may be zero."""
     life = Life(joint_1__limits__torque__warn=100.0, joint_1__limits__torque__error=100.0)
     life.run(8, effort, step=0.4)
     assert life.report().values["torque_not_measured"] == ""
@@ -216,13 +216,13 @@ def test_numbers_are_those_of_the_drive(life: Life) -> None:
 
 
 def turned(eccentricity: float, torque: float) -> MeshState:
-    """The example drive over a turn; an eccentricity [m] and a torque [N m]."""
+    """The example drive over a turn, for an eccentricity [m] and a torque [N m]."""
     drive = config(joint_1__eccentricity__magnitude=eccentricity).joints[0].drive
     return mesh_state(drive, np.linspace(0.0, 2.0 * np.pi, 400), np.full(400, torque))
 
 
 def test_overlap_is_judged_by_what_it_does_to_the_teeth() -> None:
-    """Half more than without eccentricity is a warning, a preload like the rated torque's an error."""
+    """1.5 times the load without eccentricity is a warning; a preload like the rated torque's, an error."""
     even = turned(0.0, 56.0).peak_load.max()
     for size, level in ((10e-6, 0), (18e-6, 0), (24e-6, 1), (38e-6, 1), (42e-6, 2)):
         life = Life(joint_1__eccentricity__magnitude=size, joint_1__limits__peak_tooth_load__warn=100.0)
@@ -254,7 +254,7 @@ def test_residual_is_without_its_mean(life: Life) -> None:
 
 
 def test_counts_go_on_and_shares_begin_anew(life: Life) -> None:
-    """A sample that is rejected is not told as missed, too; one that never came is seen in the stamps."""
+    """A rejected sample does not also count as missed; the stamps show samples that never came."""
     before = list(life.report().values)
     life.run()
     life.run(broken=5)
@@ -269,7 +269,7 @@ def test_counts_go_on_and_shares_begin_anew(life: Life) -> None:
 
 @pytest.mark.parametrize("lost", [range(0), range(300, 350)], ids=["none", "fifty"])
 def test_a_sender_that_is_held_up_and_catches_up_has_lost_nothing(life: Life, lost: range) -> None:
-    """Most steps are far shorter than the period then, and single losses cannot be told from the jitter."""
+    """Most steps are then far shorter than the period, and jitter hides single losses."""
     random = np.random.default_rng(3)
     held = np.maximum.accumulate(np.arange(1000) * MS + np.where(random.random(1000) < 0.15, 6 * MS, 0))
     stamps = START + held + np.arange(1000) * 20_000
@@ -279,7 +279,7 @@ def test_a_sender_that_is_held_up_and_catches_up_has_lost_nothing(life: Life, lo
 
 @pytest.mark.parametrize("before", [0, 1000], ids=["from the start", "afterwards"])
 def test_a_sender_that_sends_in_bursts_has_lost_nothing(life: Life, before: int) -> None:
-    """A hundred samples within 2 ms, every 100 ms: the step within a burst is no period."""
+    """A hundred samples within 2 ms, every 100 ms: the step within a burst is not the period."""
     number = np.arange(1000)
     assert not before or life.missed(START + np.arange(before) * MS) == 0
     late = START + (before + 100 + number // 100 * 100) * MS + number % 100 * 20_000
@@ -288,7 +288,7 @@ def test_a_sender_that_sends_in_bursts_has_lost_nothing(life: Life, before: int)
 
 
 def test_what_is_made_up_for_after_a_report_was_not_lost(life: Life) -> None:
-    """A sender is held up for 40 periods at the end of a report's time, and then sends them at once."""
+    """A delay of 40 periods at the end of a report's interval, after which all samples come at once."""
     assert life.missed(START + np.append(np.arange(961), 1000) * MS) == 39
     burst = START + 1000 * MS + np.arange(1, 40) * MS // 100
     assert life.missed(np.append(burst, START + np.arange(1001, 2000) * MS)) == 0
@@ -296,7 +296,7 @@ def test_what_is_made_up_for_after_a_report_was_not_lost(life: Life) -> None:
 
 
 def test_a_pause_or_a_clock_that_was_set_ahead_is_no_loss(life: Life) -> None:
-    """A step of an hour counted 3.6 million samples as missed."""
+    """A step of an hour once counted as 3.6 million missed samples."""
     hour, before = 3_600_000 * MS, START + np.arange(1000) * MS
     assert life.missed(np.append(before, before + hour)) == 0
     assert life.missed(START + hour + np.append(np.arange(1000, 1500), np.arange(1503, 2000)) * MS) == 3
@@ -304,7 +304,7 @@ def test_a_pause_or_a_clock_that_was_set_ahead_is_no_loss(life: Life) -> None:
 
 @pytest.mark.parametrize(("kept", "jitter"), [(0.6, 0.0), (0.45, 0.02), (0.3, 0.0), (0.15, 0.02)])
 def test_samples_lost_by_a_slow_reader_are_no_other_period(life: Life, kept: float, jitter: float) -> None:
-    """From a full queue the oldest samples drop out: most are lost, the rest at steps of whole periods."""
+    """A full queue drops its oldest samples: most are lost, the rest have steps of whole periods."""
     noise = np.random.default_rng(4).normal(0.0, jitter * MS, 6000).astype(np.int64)
     stamps = START + MS * np.arange(6000) + noise
     let_through = np.unique((1000 + np.arange(4000 * kept) / kept).astype(int))
@@ -317,7 +317,7 @@ def test_samples_lost_by_a_slow_reader_are_no_other_period(life: Life, kept: flo
 
 @pytest.mark.parametrize("factor", [2, 3, 2.5])
 def test_another_period_is_no_loss(life: Life, factor: float) -> None:
-    """At most for the one report in which both periods are."""
+    """Samples may count as missed only in the one report that has both periods."""
     step, count = round(factor * MS), 1000
     assert life.missed(START + MS * np.arange(count)) == 0
     end = START + MS * (count - 1)

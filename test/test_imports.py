@@ -1,4 +1,4 @@
-"""Imports point one way, without circles, and the core starts without what belongs to the edges."""
+"""Imports point one way, without circles, and the core starts without the edges' libraries."""
 
 import ast
 import functools
@@ -13,7 +13,7 @@ import pytest
 from cli_runner import config_file
 
 ROOT = Path(__file__).resolve().parent.parent
-# Each entry may import those before it; rooms of one entry do not know each other.
+# Each entry may import those before it; rooms of one entry may not import each other.
 CHAIN = (
     "arrays formatting memory process_pool whole_file",
     *("model", "drive", "gears", "effects", "extended_model", "streams"),
@@ -23,7 +23,7 @@ CHAIN = (
 )
 PLACE = {room: i for i, rooms in enumerate(CHAIN) for room in rooms.split()}
 CORE = [*CHAIN[1:7], "monitor", "diagnosis", "tolerance"]
-# Where the libraries of the edges may be named, in whatever part of a module.
+# The only modules that may name the libraries of the edges.
 ROS = ("ros", "watch")
 OWNERS = {
     **dict.fromkeys(("rclpy", "rcl_interfaces", "sensor_msgs", "diagnostic_msgs", "visualization_msgs"), ROS),
@@ -49,7 +49,7 @@ def modules(folder: Path, prefix: str = "") -> dict[str, Path]:
 
 
 PACKAGE = modules(ROOT / "hd_diag", "hd_diag")
-# The challenge's records stand among the tests, under the name of the script that uses them.
+# The challenge's records are among the tests, under the name of the script that uses them.
 CHALLENGE = modules(ROOT / "test/challenge", "challenge")
 BENCH = modules(ROOT / "bench") | CHALLENGE
 INDEPENDENT = CHALLENGE | modules(ROOT / "test/reference", "reference")
@@ -57,7 +57,7 @@ INDEPENDENT = CHALLENGE | modules(ROOT / "test/reference", "reference")
 
 @functools.cache
 def named(path: Path) -> list[str]:
-    """What a module imports, inside functions too."""
+    """All imports of a module, including those inside functions."""
     found = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
@@ -69,7 +69,7 @@ def named(path: Path) -> list[str]:
 
 
 def graph(of: dict[str, Path]) -> dict[str, set[str]]:
-    """Modules of a tree that each of its modules imports."""
+    """For each module of a tree, the modules of that tree it imports."""
     return {
         module: {name if name in of else name.rpartition(".")[0] for name in named(path)} & of.keys()
         for module, path in of.items()
@@ -82,7 +82,7 @@ def room(module: str) -> str:
 
 @pytest.mark.parametrize("of", [PACKAGE, BENCH], ids=["package", "bench"])
 def test_modules_import_each_other_without_circles(of: dict[str, Path], tmp_path: Path) -> None:
-    """Whatever stands in a function counts too: it would only hide the circle."""
+    """Imports inside functions count too: they would only hide a circle."""
     graphlib.TopologicalSorter(graph(of)).prepare()
     (tmp_path / "a.py").write_text("import b")
     (tmp_path / "b.py").write_text("def f():\n    from a import x\n")
@@ -106,7 +106,7 @@ def test_libraries_of_the_edges_stay_there() -> None:
 
 
 def test_what_the_package_is_measured_by_shares_no_code_with_it() -> None:
-    """No import, none by a name in a string, and none of what a process has loaded with all of it."""
+    """No import, no import by name in a string, and nothing in a process that loads all of them."""
     assert {"challenge.records", "challenge.clearances", "reference.polyline"} <= INDEPENDENT.keys()
     named = re.compile(r"^ *(import|from) hd_diag|['\"]hd_diag['\".]", re.MULTILINE)
     assert [m for m, path in INDEPENDENT.items() if named.search(path.read_text(encoding="utf-8"))] == []
@@ -134,9 +134,9 @@ print(json.dumps(found))
 
 
 def test_a_core_room_loads_no_edge() -> None:
-    """A process of its own has imported all of a room but its kernels.
+    """A separate process imports all of a room except for its kernels.
 
-    These are numba's, which comes when something is first computed.
+    Kernels need numba, which is loaded with the first computation.
     """
     inside = [module for module in PACKAGE if "." in module and ".kernel" not in module]
     rooms = {name: [module for module in inside if room(module) == name] for name in CORE}
@@ -145,7 +145,7 @@ def test_a_core_room_loads_no_edge() -> None:
     run = subprocess.run(command, check=True, capture_output=True, text=True, timeout=120)
     known, told = {*OWNERS, "numba", "hd_diag"}, json.loads(run.stdout)
     loaded = {name: known.intersection(found) for name, found in told.items()}
-    assert loaded == {name: {"hd_diag"} for name in CORE} | {"": {"click"}}  # what would be seen
+    assert loaded == {name: {"hd_diag"} for name in CORE} | {"": {"click"}}  # edges would be seen
 
 
 VERB = """
@@ -168,7 +168,7 @@ SLOW = {"numpy", "scipy", "numba", "llvmlite", "yaml", "rich", "rosbags", "mcap"
     ],
 )
 def test_a_verb_loads_what_it_needs_alone(words: str, may: set[str], tmp_path: Path) -> None:
-    """What takes long: `check` of any drive needs neither kernels nor scipy, and a mesh no effects."""
+    """For slow imports: `check` of any drive needs neither kernels nor scipy, and a mesh no effects."""
     page = {f"gear__{name}": value for name, value in PAGE.items()}
     file = config_file(tmp_path, **(page if words.startswith("check") else {}))
     command = [sys.executable, "-c", VERB, *words.format(file=file).split()]

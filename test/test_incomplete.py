@@ -1,4 +1,4 @@
-"""What is incomplete never passes for whole: cut off, miscounted and damaged bags are told."""
+"""Incomplete data never passes as complete: truncated, miscounted and damaged bags are reported."""
 
 import json
 import struct
@@ -32,7 +32,7 @@ def told_of(bag: Path, folder: Path, *words: object) -> tuple[str, dict[str, Any
 
 
 def test_text_verdict_and_json_tell_it(tmp_path: Path) -> None:
-    """A bag of 20 s of which the last fifth is not there."""
+    """A bag of 20 s without its last fifth."""
     bag = write(tmp_path / "whole.mcap", whole(columns(seconds=20.0)))
     cut = cut_end(bag, tmp_path / "cut.mcap", keep=bag.stat().st_size * 4 // 5)
     told, found = told_of(cut, tmp_path)
@@ -74,7 +74,7 @@ def test_a_count_is_but_a_hint(tmp_path: Path) -> None:
 
 
 def test_a_database_that_hides_rows_is_damaged(tmp_path: Path) -> None:
-    """One byte of a page of the index by time says how many rows are on it."""
+    """One byte in a page of the time index gives the number of its rows."""
     file = notes_folder(tmp_path / "bag") / "bag.db3"
     data = bytearray(file.read_bytes())
     size = int.from_bytes(data[16:18], "big")
@@ -107,7 +107,7 @@ def test_refused_samples_are_in_the_verdict_however_few(tmp_path: Path) -> None:
 
 
 def test_topics_a_page_of_the_motion_and_a_fleet_s_row_tell_them(tmp_path: Path) -> None:
-    """Of one angle without a torque, of which nothing else can be said; of the motor's there is a motion."""
+    """One bag has only the link and can only be listed; the other has the motor, and so a motion."""
     given = columns(seconds=5.0)
     angles = {"joint_1": given["output"], "joint_1_motor": given["input"]}
     parts = (damaged(states(given["time"], (name,), (angles[name],)), 300, 301, 302) for name in angles)
@@ -128,7 +128,7 @@ def test_topics_a_page_of_the_motion_and_a_fleet_s_row_tell_them(tmp_path: Path)
 
 
 def test_temperatures_that_cannot_be_are_refused(tmp_path: Path) -> None:
-    """One of no bytes at all, and one that squares to infinity."""
+    """A temperature message without content, and one whose value squares to infinity."""
     given = columns(seconds=3.0)
     warm = temperatures(np.array([0.0, 1.0, 2.0, 2.5]), np.array([20.0, 30.0, 30.0, 1e300]))
     warm[1] = (*warm[1][:2], b"", warm[1][3])

@@ -17,7 +17,7 @@ from hd_diag.effects.effect import Effect
 HARDENING, LOOP = (-6e-6, 8e-6, 11.0, 30.0, 0.1), (1e-4, 6e-5, 9.0, 1.6, 2.0, 1.5)
 TRUTH = {"torsional_hardening": HARDENING, "hysteresis": LOOP}
 PARAMETERS = fit_parameters.count(CONFIGURED)
-MODEL = PARAMETERS + 1  # and the encoders' offset
+MODEL = PARAMETERS + 1  # with the encoders' offset
 
 
 Case = tuple[Effect, tuple[float, ...], LinearisedFit]
@@ -31,7 +31,7 @@ def case(request: pytest.FixtureRequest) -> Case:
 
 
 def test_nonlinear_values_are_returned(case: Case) -> None:
-    """From a start as far off as a search may leave it; within four standard deviations, which are small."""
+    """From the worst start that a search leaves, values end within four (small) standard deviations."""
     effect, expected, start = case
     near = np.array(expected[2:]) * np.resize([1.1, 0.93], len(expected) - 2)
     found, chosen = polished(start, ((effect, tuple(near)),))
@@ -45,20 +45,20 @@ def test_nonlinear_values_are_returned(case: Case) -> None:
 
 
 def test_a_fit_reaches_the_end_of_a_valley() -> None:
-    """A pitch error's harmonics imitate an eccentricity: each step of either is but a share of the way."""
+    """A pitch error's harmonics imitate an eccentricity: each step of either covers only part of the way."""
     effect, size = EFFECTS["circular_spline_pitch"], np.zeros(16)
     size[[0, 2, 3]] = 3e-6, -3e-6, 1e-6
     chosen = ((effect, ()),)
     away = POINT + np.array([0.0, 0.0, 0.0, 0.0, 6.0, 0.0, 0.0])
     fit = bench(lambda signals: effect.response(signals, size, ())).moved(away).corrected(chosen)
     found = settle(fit, chosen, rounds=8, learn=False)
-    # Where it ends, what the columns say is what the effect does at its size.
+    # At the end, the columns describe the effect at its size.
     assert found.cost(chosen) - found.design(chosen).deviance() < 20.0
 
 
 @pytest.mark.parametrize("farther", [*(pytest.param(um, marks=pytest.mark.slow) for um in (6.0, 10.0)), 14.0])
 def test_worn_teeth_and_a_datum_that_hide_each_other_are_told_apart(farther: float) -> None:
-    """Along the valley a step of the datum alone climbs: the teeth's wear has to step with it."""
+    """Along the valley, a step of the datum alone raises the cost: the wear must change with it."""
     wear = EFFECTS["wear_backlash"]
     away, chosen = POINT.copy(), ((wear, ()),)
     away[DATUM] += farther
@@ -69,7 +69,7 @@ def test_worn_teeth_and_a_datum_that_hide_each_other_are_told_apart(farther: flo
 
 @pytest.mark.parametrize("away", [(0.0, 0.0, 0.0), (12.0, -9.0, 0.0), (-20.0, 10.0, 20.0)])
 def test_a_step_that_makes_a_fit_worse_is_shortened_or_left(away: tuple[float, float, float]) -> None:
-    """Beside what is not the cause the model is not linear over steps of many deviations."""
+    """With the wrong cause, the model is nonlinear over steps of many deviations."""
     record = swinging()
     read = 15e-3 * np.cos(record.input_angle - 2.0) + 4e-3 * np.cos(2.0 * record.input_angle + 1.0)
     made = bench(record=dataclasses.replace(record, input_angle=record.input_angle + read))
@@ -125,7 +125,7 @@ def test_a_value_stops_at_its_limit() -> None:
 
 
 def test_deviations_follow_the_scatter_of_recordings() -> None:
-    """A joint whose eccentricity differs from one recording to the next: the mean of four is half as sure."""
+    """The eccentricity differs between recordings: the mean of four has half their scatter."""
     sizes = np.array([11.0, 12.0, 13.0, 12.0])
     drives = [joint(eccentricity__magnitude=1e-6 * x, eccentricity__direction=0.6).drive for x in sizes]
     given = [swinging(10.0, seed, drive) for seed, drive in enumerate(drives)]
@@ -140,7 +140,7 @@ def test_deviations_follow_the_scatter_of_recordings() -> None:
 
 
 def test_deviations_follow_the_scatter_of_blocks(case: Case) -> None:
-    """A part that no column has, in one block in three, widens what it pulls at; nothing gets narrower."""
+    """A disturbance in every third block that no column has widens what it affects; nothing gets narrower."""
     *_, made = case
     chosen = ((EFFECTS["stream_delay"], ()),)
     plain = np.sqrt(np.diag(made.fit(chosen)[1]))
@@ -154,7 +154,7 @@ def test_deviations_follow_the_scatter_of_blocks(case: Case) -> None:
 
 @pytest.mark.parametrize("near", [0.99, 1.0, 1.01])
 def test_a_value_beside_that_of_a_grid_point_moves_as_far_as_any(near: float) -> None:
-    """The distance to that point would hold it there: a refinement would end beside every grid point."""
+    """The step must not be the distance to that point: a refinement would stop at every grid point."""
     fit, loop = bench(), EFFECTS["hysteresis"]
     sharpness = np.unique([point[1] for point in fit.data.grid(loop)])
     steps = np.diff(sharpness)

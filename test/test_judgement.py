@@ -1,4 +1,4 @@
-"""What kind of answer a diagnosis is, and whether the joint is normal."""
+"""The kind of answer of a diagnosis, and whether the joint is normal."""
 
 import dataclasses
 import re
@@ -43,13 +43,13 @@ AS_CONFIGURED = refitted(eccentricity=0.1 + 0.0j)
         (SKIPPED, "causes"),
         ({"rms": MISFIT}, "misfit"),
         ({"rms": dataclasses.replace(SLOW, gear=1.4)}, "misfit"),
-        ({"rms": SLOW}, "parameters"),  # the gear is judged although something slow is not understood
+        ({"rms": SLOW}, "parameters"),  # the gear is judged despite a slow unknown part
         ({"rms": SLOW, "unexplained": (samples.LINE,)}, "described"),
         ({"found": found(functions=(function(TORQUE),))}, "described"),
         ({"found": found(cause("hysteresis", none=-3.0))}, "described"),
         ({"found": found(cause("hysteresis"), functions=(function(TORQUE),))}, "causes"),
-        ({"rms": LATE}, "parameters"),  # as it runs its signals are late
-        ({"rms": UNREPEATED}, "parameters"),  # all that is left may be noise
+        ({"rms": LATE}, "parameters"),  # signals are late in the running model
+        ({"rms": UNREPEATED}, "parameters"),  # the whole residual may be noise
         ({"rms": dataclasses.replace(UNREPEATED, noise_high=14.0 * ARCSEC)}, "misfit"),
         (WRONG, "not_judged"),
     ],
@@ -117,21 +117,21 @@ def test_where_no_motion_repeats_noise_may_be_all_that_is_left_and_nothing_is_na
 @pytest.mark.parametrize(
     ("none", "own", "rms", "named"),
     [
-        (-20.0, 4.0, NEAR, True),  # 99.9997 % by less than twice the noise
+        (-20.0, 4.0, NEAR, True),  # 99.9997 % at less than twice the noise
         (-8.0, 4.0, NEAR, True),
-        (-6.0, 4.0, NEAR, False),  # 99.75 % are 97.9 %
+        (-6.0, 4.0, NEAR, False),  # 99.75 % become 97.9 %
         (-6.0, 4.0, None, True),
-        (-20.0, 0.525, NEAR, False),  # its deviation of 0.01 leaves less than the least size
+        (-20.0, 0.525, NEAR, False),  # at deviation 0.01, it may be below the least size
         (-20.0, 0.525, None, True),
-        (-1200.0, 4.0, UNREPEATED, False),  # by as much as 19 times the noise it is 96.5 %
+        (-1200.0, 4.0, UNREPEATED, False),  # 96.5 % at 19 times the noise
         (-1700.0, 4.0, UNREPEATED, True),
         (-1200.0, 4.0, SLOW, False),
         (-1700.0, 4.0, SLOW, True),
-        (-1700.0, 4.0, MISFIT, False),  # what else is wrong at the gear's lines may hide it
+        (-1700.0, 4.0, MISFIT, False),  # other errors at the gear's lines may hide it
     ],
 )
 def test_evidence_counts_less_beside_more_than_noise(none: float, own: float, rms: Any, named: bool) -> None:
-    """By the square of what is left over the noise; then a cause may be a hint."""
+    """Log odds are divided by the square of residual over noise; a cause may then become a hint."""
     made = diagnosis(cause("hysteresis", none=none, own=own * ARCSEC), **({"rms": rms} if rms else {}))
     assert (len(made.causes), len(made.hints)) == (named, 1 - named)
 
@@ -144,7 +144,7 @@ def test_a_hint_is_likelier_than_not() -> None:
 
 @pytest.mark.parametrize(("gear", "share"), [(1.1, 0.0), (2.0, 0.1), (2.0, 0.5)])
 def test_what_is_left_at_the_lines_may_be_in_a_displacement(gear: float, share: float) -> None:
-    """Its deviation grows by as much of it as what is left is of what it does; a runout alone shows none."""
+    """The deviation grows by the displacement times residual over effect; for a runout alone by nothing."""
     made = diagnosis()
     nominal, given = fit_parameters.vector(made.configured, made.configured), (made.record, made.configured)
     parameters, runout = nominal + 8.0 * np.eye(7)[0], nominal + 1e-9 * np.eye(7)[2]
@@ -158,7 +158,7 @@ def test_what_is_left_at_the_lines_may_be_in_a_displacement(gear: float, share: 
 
 
 def test_a_cause_that_foretells_no_more_than_the_configured_drive_is_a_hint() -> None:
-    """Parameters may have followed noise: beside these alone it seems to help."""
+    """The parameters may have followed noise: only against these does the cause seem to help."""
     made = diagnosis(cause("hysteresis"))
     assert (made.rms.refit, len(made.causes)) == (pytest.approx(5.0 * ARCSEC), 1)
     worse = dataclasses.replace(made.rms, nominal=3.2 * ARCSEC)
@@ -187,12 +187,12 @@ ECCENTRIC = "the eccentricity"
 
 
 def creeping(arcsec: float) -> dict[str, Any]:
-    """With a part of an amplitude that no cause explains and that is no line."""
+    """An unexplained part of an amplitude that is no line."""
     return {"unexplained": (Unexplained(0.0, "input", ARCSEC * arcsec, "", "", "creeps"),)}
 
 
 def allowed(size: float) -> dict[str, Any]:
-    """By the tolerance, beside an eccentricity of 18.2 ± 0.3 [µm]."""
+    """A limit from the tolerance [µm], for an eccentricity of 18.2 ± 0.3 µm."""
     return {"allowed": Allowed(1e-6 * size, "overlap")}
 
 
@@ -217,7 +217,7 @@ def allowed(size: float) -> dict[str, Any]:
             "amber",
             rf"Watch: {ECCENTRIC} may be beyond its limit: 18.2 ± 0.3 µm, allowed 17.9 µm \(84 % likely\).",
         ),
-        # What is beyond doubt is said alone.
+        # A certain excess is reported alone.
         (
             allowed(10) | {"found": HINT},
             "inspect",
@@ -252,7 +252,7 @@ def test_a_loop_that_catalogues_allow_is_named_and_asks_for_nothing(size: float)
 
 
 def first(name: str, size: float) -> Cause:
-    """Of its first quantity alone, without deviation."""
+    """A cause with only its first quantity, without deviation."""
     made = cause(name)
     count = made.coefficients.size + len(made.nonlinear)
     sizes = size * np.eye(1, made.coefficients.size)[0]
@@ -282,22 +282,22 @@ UNCERTAIN = cause("torque_offset")
         (first("coulomb_windup", 1.2 * FRICTION), False),
         (like_friction(0.9), True),
         (like_friction(1.2), False),
-        # What has no usual size is never usual, however uncertain.
+        # A cause without a usual size is never usual, however uncertain.
         (first("stream_delay", 0.9 * ARCSEC), False),
         (dataclasses.replace(UNCERTAIN, covariance=np.diag((9.0 * UNCERTAIN.coefficients) ** 2)), False),
-        # A loop counts as far as the record runs through it.
+        # A loop counts only as far as the record runs through it.
         (dataclasses.replace(loop(40.0), reach=24.0 * ARCSEC), True),
         (dataclasses.replace(loop(40.0), reach=36.0 * ARCSEC), False),
         (spread(0.1), False),
-        (spread(8.0), True),  # it may be usual by its deviation
-        # Waves of an encoder's disc that is mounted with care.
+        (spread(8.0), True),  # its deviation allows a usual size
+        # Waves of an encoder disc that is mounted with care.
         *((first("output_runout", size * ARCSEC), size < 10.0) for size in (9.0, 11.0)),
         *((first("output_encoder_eccentricity", size * ARCSEC), size < 10.0) for size in (9.0, 11.0)),
         *((first("input_encoder_eccentricity", size * ARCSEC), size < 600.0) for size in (540.0, 660.0)),
-        # Any wave of an encoder, its lines too.
+        # Any wave of an encoder, including its lines.
         *((first("output_encoder_interpolation", size * ARCSEC), size < 10.0) for size in (9.0, 11.0)),
         *((first("encoder_interpolation", size * ARCSEC), size < 600.0) for size in (540.0, 660.0)),
-        (first("coupling_misalignment", 9.0 * ARCSEC), False),  # where it is named it has play
+        (first("coupling_misalignment", 9.0 * ARCSEC), False),  # a named coupling has play
     ],
 )
 def test_what_a_new_joint_has_is_usual(made: Cause, usual: bool) -> None:
@@ -305,7 +305,7 @@ def test_what_a_new_joint_has_is_usual(made: Cause, usual: bool) -> None:
 
 
 def waved(amplitude: Any, rng: np.random.Generator, more: Any = 0.0) -> Diagnosis:
-    """A diagnosis whose record has two waves a turn of an amplitude, noise, and something more [rad]."""
+    """A diagnosis whose record has a wave of order 2, noise, and an addition `more` [rad]."""
     made = diagnosis()
     record = made.record
     wave = amplitude * np.cos(2.0 * record.input_angle)
@@ -315,7 +315,7 @@ def waved(amplitude: Any, rng: np.random.Generator, more: Any = 0.0) -> Diagnosi
 
 @pytest.mark.parametrize("amplitude", [20.0, 60.0])
 def test_the_error_is_compared_with_the_catalogue(amplitude: float) -> None:
-    """A wave of 40 or 120 arcsec from peak to peak beside 90; torsion of much more is no part of it."""
+    """A wave of 40 or 120 arcsec peak to peak against 90; a much larger torsion does not count."""
     record = diagnosis().record
     torsion = -300.0 * ARCSEC * record.torque / 30.0
     found = Answer(waved(amplitude * ARCSEC, np.random.default_rng(0), torsion)).normal
@@ -324,7 +324,7 @@ def test_the_error_is_compared_with_the_catalogue(amplitude: float) -> None:
 
 
 def test_how_well_the_error_is_known_is_how_much_it_scatters_between_records() -> None:
-    """Waves whose amplitude differs from stretch to stretch: the deviation is that of many such records."""
+    """The amplitude varies between stretches: the deviation equals the scatter of many such records."""
     rng, size = np.random.default_rng(1), diagnosis().record.size
     stretch = np.arange(size) * 12 // size
     amplitudes = (ARCSEC * (30.0 + 10.0 * rng.standard_normal(12))[stretch] for _ in range(100))
@@ -346,7 +346,7 @@ def test_how_well_the_error_is_known_is_how_much_it_scatters_between_records() -
     ],
 )
 def test_a_value_beside_its_limit(value: float, std: float, place: str) -> None:
-    """Near is where the 95 % interval holds the limit of 10."""
+    """Near means that the 95 % interval holds the limit of 10."""
     assert [Limited("", value, std, limit, "m").place for limit in (10.0, np.nan)] == [place, "open"]
 
 

@@ -1,4 +1,4 @@
-"""Parameters that a record does not move stay as configured, and say how far off they may be."""
+"""Parameters that a record does not determine stay as configured, with a bound on their error."""
 
 import dataclasses
 
@@ -33,7 +33,7 @@ def settled(record: Record, start: np.ndarray) -> Set:
 
 
 def refitted(record: Record) -> Set:
-    """A little off zero, as noise leaves it: there an eccentricity looks certain."""
+    """A fit slightly off zero, as noise leaves it: there an eccentricity looks certain."""
     return settled(record, AS_CONFIGURED + np.array([0.5, 0.4, 0.1, 0.0, 0.1, 0.0, 0.05]))
 
 
@@ -52,14 +52,14 @@ def test_a_drive_as_configured_stays_so(seed: int) -> None:
     best, kept = kept_parameters(free)
     held = list(kept.held)
     assert set(kept.bounds) == DISPLACEMENTS
-    # Less than a hundred to one speaks for a displacement; most that are none win by being none.
+    # The odds for a displacement stay below a hundred to one; most absent ones gain by being fixed.
     assert best.value > free.value - ODDS
-    # Datum and compliances have slopes, and remainders would take the place of what is held.
+    # Datum and compliances have slopes, and remainders would replace them if they were fixed.
     assert not {4, 5, 6} & {*held, *best.fit.held}
     assert np.array_equal(best.fit.parameters[held], AS_CONFIGURED[held])
     assert best.fit.fit(best.chosen)[0][held] == pytest.approx(0.0, abs=1e-9)
     assert 0.05 < kept.bounds["eccentricity"] < 4.0
-    # Beside none a runout may be anything: it shows by its product with an eccentricity alone.
+    # Without eccentricity a runout may be anything: it shows only through their product.
     assert kept.bounds["runout"] > 10.0
     told = fit_parameters.physical(*kept.spread(whole(best), ()), CONFIGURED)
     size, bound = told["eccentricity.magnitude"], kept.physical(CONFIGURED)["eccentricity"]
@@ -74,7 +74,7 @@ def test_what_the_record_shows_moves(displaced: Set) -> None:
 
 
 def test_what_is_held_makes_the_others_no_more_certain(displaced: Set) -> None:
-    """Held are groups of this fit; their bounds stand in their place."""
+    """The fixed parameters are groups of this fit; their bounds replace their deviations."""
     held = dataclasses.replace(displaced, fit=dataclasses.replace(displaced.fit, held=(2, 3)))
     (_, plain), (_, wide) = parameters_of(whole(displaced)), Kept({"runout": 8.0}).spread(whole(held), ())
     others = [0, 1, 4, 5]
@@ -84,7 +84,7 @@ def test_what_is_held_makes_the_others_no_more_certain(displaced: Set) -> None:
 
 
 def test_displacements_that_show_by_their_product_are_free() -> None:
-    """0.6 um of eccentricity, which is not certain by itself, beside 9 um of runout."""
+    """An eccentricity of 0.6 um, not certain by itself, with a runout of 9 um."""
     both = AS_CONFIGURED + np.array([0.45, 0.4, 6.0, 6.75, 0.0, 0.0, 0.0])
     for place, shares in enumerate(([1, 1, 1, 1, 1, 1, 1], [1, 1, 0, 0, 1, 1, 1], [0, 0, 1, 1, 1, 1, 1])):
         point = both * shares
@@ -112,11 +112,11 @@ SLOW = [pytest.param(seed, marks=pytest.mark.slow) for seed in (3300, 5107, 5205
 
 @pytest.mark.parametrize("seed", [*SLOW, 1_000_001_822])
 def test_beside_no_eccentricity_none_is_claimed(seed: int) -> None:
-    """In some seconds of a faultless joint under a noisy torque.
+    """Some seconds of a faultless joint under a noisy torque.
 
-    Of the first a runout alone predicts held-out data; of the next two what an eccentricity leaves is less by
-    38 and 47 of its own noise, and is slow noise; the last two have a cup that is not the configured one, and
-    one of them leaves so much that it may be a misfit, which an eccentricity would be the end of.
+    In the first, a runout alone predicts held-out data. In the next two, an eccentricity reduces the residual
+    by 38 and 47 of its own noise, but that is slow noise. In the last two, the cup is not as configured;
+    one of them leaves so large a residual that it may be a misfit, which an eccentricity would remove.
     """
     found = diagnose(generated(families.made("faultless", seed)), CONFIGURED, np.random.default_rng(0))
     assert {"eccentricity", "runout"} <= found.kept.keys()
@@ -127,7 +127,7 @@ def test_beside_no_eccentricity_none_is_claimed(seed: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("family", "seed"), [("faultless", 4005), ("robot_single", 1_000_000_815)])
 def test_under_torque_of_one_sign_the_datum_s_other_minimum_is_looked_for(family: str, seed: int) -> None:
-    """12 um off it does as well beside a false displacement, or far worse than the true one."""
+    """A datum 12 um off fits as well with a false displacement, or much worse than the true one."""
     made = families.made(family, seed)
     found = diagnose(generated(made), CONFIGURED, np.random.default_rng(0))
     datum = found.parameters["circular_spline_datum"]

@@ -1,4 +1,4 @@
-"""Layouts of other tools: every topic, field, frame, status and key that they name is the node's own."""
+"""Layouts of other tools: every topic, field, frame, status and key in them exists in the node."""
 
 import json
 import re
@@ -31,7 +31,7 @@ JOINT = "joint_1"
 
 
 class Made(NamedTuple):
-    """A node's messages and topics by their names, its joints with their teeth, and layouts made for it."""
+    """A node's messages and topics by name, its joints with their teeth, and layouts made for it."""
 
     node: str
     teeth: dict[str, int]
@@ -82,7 +82,7 @@ ARM |= {"elbow.gear.k1": 1.0e4, "elbow.gear.k2": 1.4e4, "elbow.gear.k3": 1.6e4}
 
 @pytest.fixture(scope="module", params=["package", "arm"])
 def made(request, messages, tmp_path_factory) -> Made:
-    """The package's layouts, and those made for two joints, one of them with other teeth."""
+    """The package's layouts, and layouts made for two joints with different numbers of teeth."""
     if request.param == "package":
         return Made("/hd_diag", {JOINT: 200}, messages, kinds_of("/hd_diag", [JOINT]), *layouts(FOLDER))
     folder, node = tmp_path_factory.mktemp("arm"), "/left/hd_diag"
@@ -95,7 +95,7 @@ def made(request, messages, tmp_path_factory) -> Made:
 
 
 KINDS = {"3D", "Plot", "StateTransitions", "DiagnosticSummary", "DiagnosticStatusPanel", "RawMessages", "Tab"}
-# As in the message path syntax: a name, then an optional slice, then an optional filter.
+# The message path syntax: a name, then an optional slice, then an optional filter.
 ELEMENT = re.compile(r'\.(\w+)(?:\[(\d*)(:?)(\d*)\])?(?:\{(\w+)=="([^"]*)"\})?')
 
 
@@ -104,7 +104,7 @@ def topic_of(path: str) -> str:
 
 
 def chosen(messages: dict[str, Any], path: str) -> list[Any]:
-    """What a message path takes from the message of its topic."""
+    """What a message path selects from the message of its topic."""
     found = [messages[topic_of(path)]]
     path = path.removeprefix(topic_of(path))
     while path:
@@ -187,7 +187,7 @@ NUMBER = re.compile(r"[-+]?[\d.]+(e[-+]?\d+)?|nan|-?inf")
 
 
 def series(topic: str, message: Any) -> Iterator[str]:
-    """Names of the curves that PlotJuggler makes of a message, in the way of its ROS parsers."""
+    """Names of the curves that PlotJuggler's ROS parsers make of a message."""
     kind = message.__msgtype__
     if kind == JOINT_STATE:
         for field in ("position", "velocity", "effort"):
@@ -234,7 +234,7 @@ def test_plotjuggler_curves_are_those_of_real_messages(made: Made) -> None:
 
 
 def test_of_one_joint_the_made_layouts_are_those_of_the_package(tmp_path: Path) -> None:
-    """One that cannot be is told in a line."""
+    """An impossible layout gives a one-line error."""
     assert hd_diag("layout", "--out", tmp_path).exit_code == 0
     (panels, *made), (own, *given) = layouts(tmp_path), layouts(FOLDER)
     assert panels == own
@@ -257,7 +257,7 @@ def test_rviz_shows_the_whole_mesh_with_its_legend_in_its_frame(messages: dict[s
     markers = messages[topic].markers
     assert {marker.header.frame_id for marker in markers} == {RVIZ["Global Options"]["Fixed Frame"]}
     assert {marker.ns: True for marker in markers} == display["Namespaces"]
-    view = RVIZ["Views"]["Current"]  # so many pixels a metre; the window leaves the drawing some 800
+    view = RVIZ["Views"]["Current"]  # pixels per metre; the window gives the drawing about 800
     assert view["Class"] == "rviz_default_plugins/TopDownOrtho"
     heights = [p.y for marker in markers for p in marker.points]
     heights += [m.pose.position.y - 2.0 * m.scale.z for m in markers if m.text]
@@ -270,7 +270,7 @@ STRANGERS = ("hd_diagnostics: battery", "hd_diag", "hd_diag_watch: x", "my hd_di
 
 
 def test_aggregator_shows_this_node_s_joints_alone(messages: dict[str, Any]) -> None:
-    """As a GenericAnalyzer decides, by how a name begins alone."""
+    """A GenericAnalyzer decides by the start of a name alone."""
     assert set(ANALYZER) == {"type", "path", "timeout", "remove_prefix", "startswith"}
     assert ANALYZER["type"] == "diagnostic_aggregator/GenericAnalyzer"
     (status,), begins = messages["/diagnostics"].status, tuple(ANALYZER["startswith"])

@@ -1,4 +1,4 @@
-"""The linearised fit: later stages see what earlier ones add, and memory goes through every row."""
+"""The linearised fit: later stages see what earlier ones add, and memory passes through every row."""
 
 import dataclasses
 
@@ -29,7 +29,7 @@ ALL = Ranges(Range(-60.0, 60.0), Range(-200.0, 200.0))
 
 
 def recorded(*terms: Term) -> Record:
-    """A joint with effects that act on each other, as the model that runs has them."""
+    """A joint with interacting effects, as the running model has them."""
     record = swinging()
     base_only = ExtendedModel(linearise(record, CONFIGURED, POINT).drive, (), 0.0, ALL)
     model = dataclasses.replace(base_only, effects=terms)
@@ -61,7 +61,7 @@ def test_a_spring_carries_tooth_errors_and_the_model_s_own_parameters() -> None:
     rest, made, (_, spring) = left(recorded(*truth), (PITCH, ()), (RESONANCE, SPRING))
     assert rest == pytest.approx(2.0, abs=0.25)
     assert spring[2] == pytest.approx(1.0, abs=0.05)
-    # Derivatives of the model pass the spring too: against a difference of fits a step apart.
+    # Derivatives of the model pass the spring too; checked against a difference of two fits.
     static, step = made.moved(made.parameters).jacobian[:, 0], np.array([0.2, *np.zeros(6)])
     ends = []
     for sign in (-1.0, 1.0):
@@ -116,7 +116,7 @@ def test_a_wrong_zero_of_the_torque_is_found_at_full_size() -> None:
 
 
 def pushed() -> LinearisedFit:
-    """A spring that pushes would undo torsion: candidates and held-out blocks are judged without it."""
+    """A spring of negative compliance would cancel torsion; candidates and held-out blocks exclude it."""
     record = swinging()
     softer = dataclasses.replace(record, output_angle=record.output_angle + 1.5 * ARCSEC * record.torque)
     return settle(linearise(softer, CONFIGURED, POINT), ())
@@ -140,7 +140,7 @@ def test_what_no_drive_can_have_explains_nothing() -> None:
 
 
 def test_evidence_is_of_drives_that_can_be() -> None:
-    """What such a spring would explain counts for no set, or a cause that is there gains nothing."""
+    """The gain of an impossible spring counts for no set; otherwise a true cause would gain nothing."""
     made = pushed()
     held = made.on_bounds(())[0]
     bound = dataclasses.replace(made.moved(made.parameters + made.fit(())[0][:7]), held=tuple(held))
@@ -172,14 +172,14 @@ def test_part_of_another_torque_is_that_along_the_whole_record() -> None:
     rows = np.arange(swinging().size) % 7 > 2
     few, every = (linearise(swinging(), CONFIGURED, POINT, rows=some) for some in (rows, None))
     expected = float(np.std(offset.response(every.whole, size, ())))
-    # Along the record the model is solved at nodes of some teeth, alone by a map: 6e-4 apart.
+    # `part` uses nodes along the record, `response` a map: they differ by 6e-4.
     assert np.std(few.part(offset, (), size)) == pytest.approx(expected, rel=1e-3)
     assert_array_equal(few.part(drift, (), both), drift.response(few.signals, both, ()))
     assert few.part(drift, (), both).size < every.part(drift, (), both).size
 
 
 def test_torques_of_several_causes_are_found_together() -> None:
-    """They act on each other through the mesh; alone each would leave part of the other."""
+    """The torques interact through the mesh; fitted alone, each would leave part of the other."""
     causes = Term(EFFECTS["torque_offset"], (2.5,), ()), Term(EFFECTS["viscous_windup"], (3.0,), (0.8,))
     both = recorded(*causes)
     chosen: Chosen = tuple((term.effect, term.nonlinear) for term in causes)
@@ -198,7 +198,7 @@ def test_torques_of_several_causes_are_found_together() -> None:
 
 
 def test_what_is_behind_the_torque_sees_what_the_mesh_bears() -> None:
-    """Elements slip by the torque that is in the mesh, friction included, not by that of the sensor."""
+    """Elements slip by the torque in the mesh, friction included, not by the sensor's torque."""
     record = swinging()
     borne = record.torque + 8.0 * np.gradient(record.input_angle, record.time) / RATIO
     slips, state = [], 0.0
@@ -251,13 +251,13 @@ def test_a_delay_carries_all_of_a_wave_as_it_runs_what_it_wanders_by_included() 
         late = (DELAY, ()), np.array([2.5e-3])
         one, other = (fit.beside((late, ((ball, order), own))) for own in (coefficients, more))
         changed = other.effects.together(other.present) - one.effects.together(one.present)
-        within = fit.data.record.time > 0.05  # not late yet
+        within = fit.data.record.time > 0.05  # after the delay
         column = ARCSEC * one.columns(ball, order)[:, place]
         assert_allclose(changed[within], column[within], atol=1e-6 * np.abs(column).max())
 
 
 def test_a_column_of_hardly_any_row_does_not_grow_without_end() -> None:
-    """A knee that no torque of the record reaches is a spike at its highest, as small as rounding."""
+    """A knee beyond every torque of the record is a spike at the highest one, as small as rounding."""
     hardening = EFFECTS["torsional_hardening"]
     fit = bench()
     most = float(np.max(np.abs(fit.signals.torque)))
@@ -269,7 +269,7 @@ def test_a_column_of_hardly_any_row_does_not_grow_without_end() -> None:
 
 
 def test_a_ripple_that_the_smoothing_left_is_not_smoothed() -> None:
-    """Where it was cut as noise is, what is fitted of it is cut alike."""
+    """Only where smoothing removed the ripple like noise does the fit smooth its own ripple."""
     ripple, fit = EFFECTS["torque_sensor_ripple"], bench()
     record = dataclasses.replace(fit.data.source, torque_window=np.full(fit.data.source.size, 0.3))
     both = (dataclasses.replace(record, torque_with_waves=waves) for waves in (True, False))

@@ -1,4 +1,4 @@
-"""Load distribution: exact solution of a rising piecewise-linear function."""
+"""Load distribution: exact solution of a rising piecewise linear function."""
 
 from random import Random
 
@@ -33,7 +33,7 @@ def test_reference(drive: polyline.Drive) -> None:
     for torque in (-41.0, 0.0, 0.3, 56.0):
         found = state(drives.mesh(drive, **moment), torque, np.array([0.7]))
         beta = polyline.torsion(expected, torque, drive)
-        # Backlash is 0.3 nm apart, the lever arms as far as the polylines' smoothed tangents.
+        # Backlash differs by 0.3 nm, lever arms by the polylines' smoothed tangents.
         assert_allclose(found.torsion[0], beta, rtol=1e-4, atol=1e-8)
         assert_allclose(found.load[0], polyline.loads(expected, beta, drive), rtol=2e-3, atol=0.01)
         assert_allclose(found.backlash[0], expected.backlash, rtol=0, atol=1e-9)
@@ -44,7 +44,7 @@ def test_the_middle_of_a_true_gap_at_zero_torque(paper_mesh: Mesh) -> None:
     found = state(paper_mesh, 0.0)
     first_plus, first_minus = np.nanmin(contacts(paper_mesh, ANGLES).rotation, axis=2).T
     assert np.all(first_plus > 0)
-    # Contacts are computed without compiled code: sines of 0.1 rad are rounded otherwise.
+    # `contacts` runs without compiled code, which rounds sines of 0.1 rad differently.
     assert_allclose(found.lost_motion, first_plus + first_minus, rtol=0, atol=1e-15)
     assert_allclose(found.torsion, (first_plus - first_minus) / 2, rtol=0, atol=1e-15)
     assert np.all(found.load == 0)
@@ -83,7 +83,7 @@ def test_torsion_holds_the_torque_and_rises_with_it(rotation: Array, stiffness: 
     st.floats(1e-4, 1e-3), st.floats(10.0, 60.0), st.floats(-22.0, -10.0), st.randoms(use_true_random=False)
 )
 def test_a_torque_below_rounding_is_held(start: float, gain: float, exponent: float, random: Random) -> None:
-    """Flanks a last digit apart: the torsion stays at them, however small the torque."""
+    """Flanks differ in the last digit: the torsion stays there, however small the torque."""
     digits = np.array([[random.randint(-3, 3) for _ in range(6)] for _ in range(2)])
     rotation, stiffness = start + digits * np.spacing(start), np.full((2, 6), gain)
     beta = torsion_of_flanks(rotation[None], stiffness[None], np.array([-(10.0**exponent), 10.0**exponent]))

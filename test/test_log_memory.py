@@ -1,4 +1,4 @@
-"""The memory of a snapshot: what it keeps, in order, within a time and a size; what comes of it."""
+"""The memory of a snapshot: what it keeps, in which order, within a time and size; what it becomes."""
 
 import errno
 import itertools
@@ -42,7 +42,7 @@ def test_it_keeps_the_last_seconds_in_order_from_the_beginning_of_a_part(size: i
 
 @pytest.mark.parametrize(("size", "count", "part"), [(10, 3000, 100), (4000, 3000, 100), (100_000, 300, 10)])
 def test_beyond_its_size_the_oldest_give_way_and_are_counted(size: int, count: int, part: int) -> None:
-    """What does not shrink, compressed or not yet; of a part of which some was taken only the rest."""
+    """Incompressible data, compressed or not yet; of a part that was partly taken, only the rest counts."""
     memory, gone, taken, noise = Memory(1e6, 3_000_000), 0, 0, random.Random(1)
     for number in range(count):
         if number % part == 0:
@@ -58,7 +58,7 @@ def test_beyond_its_size_the_oldest_give_way_and_are_counted(size: int, count: i
 
 @pytest.mark.parametrize("is_full", [False, True], ids=["slow disk", "full disk"])
 def test_what_overflows_while_a_snapshot_is_written_is_counted(is_full, tmp_path, monkeypatch) -> None:
-    """Of messages that come faster than they are written; then the log needs a new beginning."""
+    """Messages come faster than they are written; afterwards the log must start again."""
     writer = log(tmp_path / "log", mode="snapshot", before=30.0, memory=1_000_000)
     clock, noise = itertools.count(START), random.Random(1)
 
@@ -91,7 +91,7 @@ def log(path: Path, **options: object) -> LogWriter:
 
 
 def test_a_snapshot_has_what_was_before_and_after_and_nothing_comes_twice(tmp_path: Path) -> None:
-    """The memory is written little by little, while more comes; then it begins anew."""
+    """The memory is written in steps while more messages come; then it starts again."""
     writer = log(tmp_path / "log", mode="snapshot", before=30.0, after=0.0)
     assert writer.state == "keeping the last 30 s"
     assert not (tmp_path / "log").exists()

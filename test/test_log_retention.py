@@ -1,4 +1,4 @@
-"""A log for every start, and which of the oldest files go: never others', never what is being written."""
+"""A log for every start, and deletion of the oldest files: only own files, never the open one."""
 
 import logging
 import os
@@ -22,7 +22,7 @@ DATE = r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d(-\d+)?"
 
 
 def log(path: Path, messages: int = 3, **options: object) -> LogWriter:
-    """A log of a start, each message of which is over the size of a file; nothing is synced to the disk."""
+    """A log of a start, with messages larger than the size of a file; nothing is synced to the disk."""
     options |= {"compression": "none", "flush_period": 0.0, "sync_period": 0.0}
     writer = LogWriter(LogConfig(str(path), **options))  # type: ignore[arg-type]
     fill(writer, messages)
@@ -47,7 +47,7 @@ def settled(writer: LogWriter) -> None:
 
 @pytest.mark.parametrize("name", ["arm", "arm.mcap"])
 def test_every_start_has_a_log_of_its_own(tmp_path: Path, name: str) -> None:
-    """In the same second too, and where a log lies there already."""
+    """Also within the same second, and if a log exists already."""
     if name == "arm":
         (tmp_path / name).mkdir()
     logs = [log(tmp_path / name) for _ in range(4)]
@@ -55,7 +55,7 @@ def test_every_start_has_a_log_of_its_own(tmp_path: Path, name: str) -> None:
     for each in logs:
         each.close()
         assert each.state == "off"
-    if name == "arm.mcap":  # a file that is not there yet has the name itself
+    if name == "arm.mcap":  # the first file has the plain name
         assert bags[0] == tmp_path / name
     pattern = rf"arm_{DATE}\.mcap" if name == "arm.mcap" else DATE
     assert all(re.fullmatch(pattern, bag.name) for bag in bags[1:])
@@ -65,7 +65,7 @@ def test_every_start_has_a_log_of_its_own(tmp_path: Path, name: str) -> None:
 
 @pytest.mark.parametrize(("name", "overwrite"), [("arm", False), ("arm", True), ("arm.mcap", False)])
 def test_the_oldest_go_until_the_rest_is_within_the_size(tmp_path: Path, name: str, overwrite: bool) -> None:
-    """The files of this start, and of others; metadata tell what is left. Files are cut small enough."""
+    """Files of this start and of earlier ones count; metadata list the rest. Files are split small enough."""
     path = tmp_path / name
     names = ("arm_2.mcap", "army.mcap", "other_1.mcap")
     if name == "arm":
@@ -103,7 +103,7 @@ def test_what_another_node_is_writing_stays(tmp_path: Path) -> None:
 
 
 def test_a_diagnosis_and_the_deletion_of_old_files_may_begin_together(tmp_path: Path, monkeypatch) -> None:
-    """Neither does what a diagnosis has begun to read go, nor does one begin with what is on its way out."""
+    """Files of a running diagnosis stay, and a diagnosis does not start with files under deletion."""
     goes_on = threading.Event()
 
     def slowly(file: Path, own) -> None:
@@ -117,11 +117,11 @@ def test_a_diagnosis_and_the_deletion_of_old_files_may_begin_together(tmp_path: 
     writer._retention = keeper
     assert writer.finished(0.0) == every[:-1]
     writer.flush_if_due()
-    assert keeper._job.result() == every[:-1]  # all that are to go
+    assert keeper._job.result() == every[:-1]  # all files due for deletion
     verdict = every[0].with_name("verdict_2026-01-01_00-00-00.yaml")
     verdict.write_text("of a diagnosis under way")
     read = [*every[:3], verdict]
-    assert diagnosis._keep([*read, tmp_path / "gone.mcap"]) == read  # a file that has gone before is not read
+    assert diagnosis._keep([*read, tmp_path / "gone.mcap"]) == read  # a deleted file is not read
     writer.flush_if_due()
     assert writer.finished(0.0) == every[:3]
     goes_on.set()
@@ -170,7 +170,7 @@ def test_a_folder_of_logs_is_no_bag_and_says_which_is_the_last(tmp_path: Path) -
 
 
 def test_a_writer_counts_what_is_gone(tmp_path: Path) -> None:
-    """After an error too: what was written is not lost for having been deleted."""
+    """Also after an error: messages in deleted files do not count as lost."""
     writer = BagWriter(tmp_path / "bag", compression="none")
     for number in range(3):
         writer.write("/x", STRING, TEXT, START + number)

@@ -1,4 +1,4 @@
-"""The log's states: what goes wrong with the file is shown and stops nothing."""
+"""States of the log: errors of the file are reported and stop nothing."""
 
 import errno
 import os
@@ -44,7 +44,7 @@ def test_a_log_is_written_and_finished_whatever_message_cannot_be(tmp_path: Path
 
 @pytest.mark.parametrize("path", ["/proc/no/log.mcap", "taken/log.mcap"])
 def test_a_path_that_cannot_be_written_stops_nothing(path: str, tmp_path: Path, clock) -> None:
-    """A folder that comes later is written then."""
+    """A folder that is created later is then used."""
     taken = tmp_path / "taken"
     taken.write_bytes(b"precious")
     log = LogWriter(LogConfig(str(tmp_path / path)))
@@ -66,7 +66,7 @@ def test_a_path_that_cannot_be_written_stops_nothing(path: str, tmp_path: Path, 
 
 @pytest.mark.parametrize("planted", ["log.mcap", "log", "log/log_1.mcap", "log/metadata.yaml.tmp"])
 def test_nothing_is_written_through_a_link(tmp_path: Path, planted: str) -> None:
-    """For the log, for its next file, for the draft of its metadata: what a link leads to stays as it is."""
+    """For the log, its next file, and the draft of its metadata: the link's target stays unchanged."""
     other = tmp_path / "other"
     if planted == "log":
         LogWriter(LogConfig(str(other / "log"))).close()  # a bag of the same name
@@ -86,7 +86,7 @@ def test_nothing_is_written_through_a_link(tmp_path: Path, planted: str) -> None
 
 @pytest.mark.parametrize("name", ["log.mcap", "folder"])
 def test_a_second_writer_takes_nothing_away(tmp_path: Path, name: str, clock: list[float]) -> None:
-    """Not what is finished, not what is written, and not when the first has ended; it says why each time."""
+    """Finished and open files stay, even after the first writer ends; each refusal gives its reason."""
     config = LogConfig(str(tmp_path / name), split_duration=1e-8, overwrite=True)
     first, second = LogWriter(config), LogWriter(config)
     assert first.state == f"writing {tmp_path / name}"
@@ -107,14 +107,14 @@ def test_a_second_writer_takes_nothing_away(tmp_path: Path, name: str, clock: li
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    """The time that the log goes by [s], to be set."""
+    """The clock of the log [s], which a test can set."""
     now = [0.0]
     monkeypatch.setattr(log_writer, "time", SimpleNamespace(monotonic=lambda: now[0]))
     return now
 
 
 def write_limited(monkeypatch: pytest.MonkeyPatch, is_full) -> None:
-    """From now on the disk is full for what a condition holds of."""
+    """Simulate a full disk for all writes that meet a condition."""
     write = os.write
 
     def written(fd: int, data: bytes) -> int:
@@ -158,7 +158,7 @@ def test_files_taken_away_are_noticed_at_the_next_flush(name, harm, reason, tmp_
 
 @pytest.mark.parametrize("name", ["log.mcap", "log"])
 def test_a_disk_that_has_room_again_is_written_in_a_new_file(name, tmp_path, clock, monkeypatch) -> None:
-    """The file before is finished, nothing lies beside it while the disk is full, what is lost is counted."""
+    """The old file is finished, none is added while the disk is full, and lost messages are counted."""
     attempts, full = list[int](), False
 
     def is_full(fd: int, data: bytes) -> bool:
@@ -179,7 +179,7 @@ def test_a_disk_that_has_room_again_is_written_in_a_new_file(name, tmp_path, clo
         clock[0] = 0.1 * step
         assert not log.flush_if_due()
         assert sorted(tmp_path.rglob("*.mcap")) == lying
-    assert 2 * 6 <= len(attempts) <= 2 * 9 + 5  # after 1, 2, 4, 8, 16, 30, 30 s: the old end and a new begin
+    assert 2 * 6 <= len(attempts) <= 2 * 9 + 5  # after 1, 2, 4, 8, 16, 30, 30 s: old end and new start
     full = False
     fill(log, 15, 5)
     clock[0] += 30.0
@@ -194,7 +194,7 @@ def test_a_disk_that_has_room_again_is_written_in_a_new_file(name, tmp_path, clo
 
 @pytest.mark.parametrize("period", [0.0, 0.02])
 def test_the_disk_is_made_to_take_it_and_nobody_waits_for_that(period, tmp_path: Path, monkeypatch) -> None:
-    """At the period, and at the end; a disk that takes long holds up neither messages nor flushes."""
+    """Syncs at the period and the end, if a period is set; a slow disk delays no message and no flush."""
     done, calls = threading.Event(), list[int]()
 
     def slow(fd: int) -> None:

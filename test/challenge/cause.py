@@ -1,4 +1,4 @@
-"""What a fault is: where it may enter, and what it sees of the drive. Sizes are SI."""
+"""What a fault is: where it can act, and what it sees of the drive. Sizes are SI."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from challenge.design import SIZE_25, Array, Design
 
 @dataclass(frozen=True)
 class Scene:
-    """What really happens, arrays (n,): time [s], motor angle [rad], its speed, torque, temperature, run."""
+    """True state, arrays (n,): time [s], motor angle [rad], its speed, torque, temperature, run."""
 
     time: Array
     motor: Array
@@ -26,7 +26,7 @@ class Scene:
 
     @property
     def acceleration(self) -> Array:
-        """Of the motor [rad/s²]."""
+        """Acceleration of the motor [rad/s²]."""
         return np.gradient(self.speed, self.time)
 
     @property
@@ -37,10 +37,10 @@ class Scene:
 
 @dataclass(frozen=True)
 class Cause:
-    """A fault by its name in a catalogue; what it does not override stays as it is.
+    """A fault, by its name in a catalogue. Methods that it does not override change nothing.
 
-    It is as large as its first field says, or those that ``sizes`` names. ``may_be``: names of a catalogue by
-    which it may be called, though none of them is wanted.
+    The first field is its size, or the fields that ``sizes`` names. ``may_be`` holds catalogue names that a
+    diagnosis may give the fault, though it need not name any.
     """
 
     name: ClassVar[str] = ""
@@ -52,23 +52,23 @@ class Cause:
         cls.name, cls.sizes, cls.known = name or cls.name, sizes, known
 
     def flaws(self, design: Design) -> Flaws | None:
-        """Departures of teeth and slots."""
+        """Deviations of teeth and slots."""
         return None
 
     def shaft(self, angle: Array) -> Array:
-        """Angle of the wave generator's hub [rad] from the motor's."""
+        """Angle of the wave generator's hub [rad] for an angle of the motor [rad]."""
         return angle
 
     def added(self, scene: Scene) -> Array | float:
-        """Angle of the output [rad] beside kinematics and mesh."""
+        """Angle of the output [rad] in addition to kinematics and mesh."""
         return 0.0
 
     def carried(self, scene: Scene, ripple: Array) -> Array | float:
-        """Angle of the output [rad] that the gear's ripple excites beside itself."""
+        """Additional angle of the output [rad] that the gear's ripple excites."""
         return 0.0
 
     def load(self, scene: Scene) -> Array | float:
-        """Torque [N m] that the mesh bears beside the link's."""
+        """Torque [N m] on the mesh in addition to the link's."""
         return 0.0
 
     def input_reading(self, angle: Array) -> Array:
@@ -80,7 +80,7 @@ class Cause:
         return angle
 
     def torque_reading(self, torque: Array, scene: Scene) -> Array:
-        """Reported torque [N m] from what the sensors before report."""
+        """Reported torque [N m] for the torque that earlier sensors report."""
         return torque
 
     @property
@@ -89,10 +89,10 @@ class Cause:
         return 0.0
 
     def scaled(self, factor: float) -> Cause:
-        """The same fault, larger or smaller."""
+        """The same fault with its sizes multiplied by a factor."""
         sizes = self.sizes or (dataclasses.fields(self)[0].name,)
         return dataclasses.replace(self, **{size: getattr(self, size) * factor for size in sizes})
 
     def as_dict(self) -> dict[str, float]:
-        """Sizes by name [SI]."""
+        """Fields by name [SI]."""
         return {name: value for name, value in vars(self).items() if name != "shape"}

@@ -11,7 +11,7 @@ from challenge.cause import Cause, Scene
 from challenge.design import Array
 from challenge.truth import ARCSEC
 
-COMPLIANCE = 4 * ARCSEC  # [rad/(N m)], mean of teeth and cup
+COMPLIANCE = 4 * ARCSEC  # [rad/(N m)], mean compliance of teeth and cup
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,10 @@ class CouplingMisalignment(Cause, name="coupling_misalignment"):
 
 @dataclass(frozen=True)
 class BearingPassage(Cause, name="bearing_passage"):
-    """One thick ball (``part`` "cage"), or a dent in a race ("outer", "inner"), of a bearing that slips.
+    """A thick ball (``part`` "cage") or a dented race ("outer", "inner") of a bearing that slips.
 
-    ``amplitude`` [rad] at the output; the cage turns ``cage`` times a turn of the wave generator, and creeps
-    by a random walk of ``slip`` [rad] over the record.
+    ``amplitude`` [rad] applies at the output. The cage turns ``cage`` times per turn of the wave generator.
+    Its creep is a random walk of ``slip`` [rad] over the record.
     """
 
     amplitude: float
@@ -72,10 +72,10 @@ class TorsionalHardening(Cause, name="torsional_hardening", sizes=("first", "sec
 
 @dataclass(frozen=True)
 class Hysteresis(Cause, name="hysteresis"):
-    """Slip elements beside a spring: half the width of the loop [rad], the torques [N m] that spend them.
+    """Slip elements in parallel with a spring: half the loop's width [rad], torques at which they slip [N m].
 
-    ``sense`` = 1: the elements hold the torsion back, as friction must; −1: the torque sensor lags by them,
-    so that the torsion seems to run ahead. The spring alone belongs to the drive, the difference is added.
+    With ``sense`` = 1 the elements hold the torsion back, as friction must. With −1 the torque sensor lags by
+    them, so that the torsion seems to lead. The drive has the spring alone; the difference is added.
     """
 
     half_width: float
@@ -94,9 +94,9 @@ class Hysteresis(Cause, name="hysteresis"):
 
 @dataclass(frozen=True)
 class CoulombWindup(Cause, name="coulomb_windup"):
-    """A seal's dry friction winds up the output [rad], more so when slow (Stribeck share, speed [rad/s]).
+    """A seal's dry friction winds up the output [rad], more at low speed (Stribeck share, speed [rad/s]).
 
-    It acts as the torque that does so at the drive's mean compliance.
+    The friction torque is `amplitude` over the drive's mean compliance.
     """
 
     amplitude: float
@@ -111,7 +111,7 @@ class CoulombWindup(Cause, name="coulomb_windup"):
 
 @dataclass(frozen=True)
 class ViscousWindup(Cause, name="viscous_windup"):
-    """Grease winds up the output, in proportion to the input's speed [rad per rad/s]."""
+    """Grease winds up the output in proportion to the input's speed [rad per rad/s]."""
 
     slope: float
 
@@ -121,7 +121,7 @@ class ViscousWindup(Cause, name="viscous_windup"):
 
 @dataclass(frozen=True)
 class ThermalDrift(Cause, name="thermal_drift"):
-    """The output turns with the housing's temperature [rad/K] above 25 °C."""
+    """The output turns with the housing's temperature above 25 °C [rad/K]."""
 
     slope: float
 
@@ -131,7 +131,7 @@ class ThermalDrift(Cause, name="thermal_drift"):
 
 @dataclass(frozen=True)
 class Resonance(Cause, name="resonance", sizes=("amplitude",)):
-    """The link's inertia behind a spring, driven by the gear's ripple and one of its own [rad]."""
+    """The link's inertia on a spring, driven by the gear's ripple and an additional ripple [rad]."""
 
     frequency: float
     damping: float
@@ -145,15 +145,15 @@ class Resonance(Cause, name="resonance", sizes=("amplitude",)):
         return mechanics.beyond_spring(driven, step, self.frequency, self.damping) - ripple
 
 
-# The same mechanisms by other laws than a catalogue of simple shapes has ---
+# The same mechanisms by laws that a catalogue of simple shapes lacks ---
 
 
 @dataclass(frozen=True)
 class DryFriction(Cause, name="coulomb_windup"):
-    """Torque [N m] between mesh and torque sensor against the motion: elasto-plastic, Lorentzian when slow.
+    """Elasto-plastic friction torque [N m] between mesh and torque sensor; a Lorentzian rise at low speed.
 
-    Hess and Soom, J. Tribology 112(1), 1990: the share ``stribeck`` more falls as 1/(1 + (v/v_s)²); speed
-    [rad/s] and presliding [rad] of the output.
+    Hess and Soom, J. Tribology 112(1), 1990: the additional share ``stribeck`` falls as 1/(1 + (v/v_s)²).
+    Speed [rad/s] and presliding [rad] refer to the output.
     """
 
     torque: float
@@ -168,7 +168,7 @@ class DryFriction(Cause, name="coulomb_windup"):
 
 @dataclass(frozen=True)
 class Grease(Cause, name="viscous_windup"):
-    """Viscous torque [N m] at 1 rad/s of the output, thinned by shear: Carreau's law, power p when fast.
+    """Viscous torque [N m] at 1 rad/s of the output, thinned by shear: Carreau's law, power p at high speed.
 
     Carreau, Trans. Soc. Rheology 16(1), 1972: c v (1 + (v/v_0)²)^((p − 1)/2).
     """
@@ -186,9 +186,9 @@ class Grease(Cause, name="viscous_windup"):
 
 @dataclass(frozen=True)
 class SmoothHysteresis(Cause, name="hysteresis"):
-    """Friction beside the spring holds the torsion back: Bouc-Wen, or a dozen slip elements.
+    """Friction in parallel with the spring holds the torsion back: Bouc-Wen, or a dozen slip elements.
 
-    Half the width of the loop [rad], the torque [N m] that spends it, Bouc-Wen's exponent (0: elements).
+    Fields: half the loop's width [rad], torque for the full loop [N m], Bouc-Wen's exponent (0: elements).
     """
 
     half_width: float
@@ -205,7 +205,7 @@ class SmoothHysteresis(Cause, name="hysteresis"):
 
 @dataclass(frozen=True)
 class SmoothHardening(Cause, name="torsional_hardening"):
-    """Spring in series, compliance [rad/(N m)] at a torque [N m]: cubic (grows) or tanh (is spent)."""
+    """Spring in series, with a compliance [rad/(N m)] and a torque scale [N m]: cubic or tanh (saturates)."""
 
     compliance: float
     torque: float
@@ -218,7 +218,7 @@ class SmoothHardening(Cause, name="torsional_hardening"):
 
 @dataclass(frozen=True)
 class LaggingDrift(Cause, name="thermal_drift"):
-    """The output turns [rad/K] with a place that follows the housing's temperature with a lag [s]."""
+    """The output turns [rad/K] with a part whose temperature lags behind the housing's [s]."""
 
     slope: float
     lag: float

@@ -1,4 +1,4 @@
-"""Faults by name: how each is drawn, from an amplitude in the range of the field."""
+"""Faults by name: how each is drawn, with an amplitude from its usual range."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ TIMES_LEAST = 3.0
 
 @dataclass(frozen=True)
 class Fault:
-    """How a cause is drawn: from an amplitude, its range in the field, and the least that can be found."""
+    """Recipe for a cause: builder, range of amplitudes in practice, unit, smallest findable amplitude."""
 
     build: Build
     low: float
     high: float
     unit: str
-    least: float = 0.0  # by bench/findable.py, on a standard record
+    least: float = 0.0  # from bench/findable.py, on a standard record
 
 
 def _phase(rng: Draw) -> float:
@@ -106,11 +106,11 @@ def _unknown(name: str) -> Build:
 
 def _sector(rng: Draw, a: float, motion: Motion) -> Cause:
     time = motion.times()
-    place = motion.angle(rng.choice(time, 1))[0] / motion.design.ratio  # where the output has been
+    place = motion.angle(rng.choice(time, 1))[0] / motion.design.ratio  # a place that the output passes
     return Unknown("encoder_sector", a * ARCSEC, float(place))
 
 
-# Resonance, which the gear's own ripple excites, ramps and steps have no least size: the range is enough.
+# Resonance (excited by the gear's own ripple), ramps and steps have no smallest size: their range suffices.
 FAULTS: dict[str, Fault] = {
     "output_runout": Fault(lambda r, a, m: sensor.OutputRunout(a * ARCSEC, _phase(r)), 2, 40, "arcsec", 0.98),
     "output_encoder_eccentricity": Fault(
@@ -165,13 +165,13 @@ UNKNOWN: dict[str, Fault] = {
     "loose_hub": Fault(_unknown("loose_hub"), 3, 15, "arcsec", 0.82),
 }
 
-# Worth no line of its own: a parameter of the drive does the same.
+# Wear acts like a parameter of the drive, so it has no line of its own.
 NAMED = tuple(name for name in FAULTS if name != "wear_backlash")
-# Found before anything is fitted: ramp and step.
+# The diagnosis finds ramp and step before any fit.
 COMBINED = tuple(name for name in NAMED if name not in ("ratio_error", "tooth_skip"))
 
 
-# The same by other laws: mechanisms ---
+# The same faults by other laws: mechanisms ---
 
 
 def _friction(rng: Draw, a: float, _: Motion) -> Cause:
@@ -258,18 +258,18 @@ MECHANISMS: dict[str, Fault] = {
     "output_encoder_interpolation": Fault(_output_lines, 1, 8, "arcsec"),
     "torque_sensor_ripple": Fault(_ripple, 1, 5, "%"),
 }
-# Parameters of the drive do the same: they need no name, but may have one.
+# These act like parameters of the drive: they need no name, but may have one.
 OPTIONAL: dict[str, Fault] = {
     "wear_backlash": FAULTS["wear_backlash"],
     "torque_gain": Fault(lambda r, a, m: sensor.TorqueGain((1 + a / 100) ** _sign(r)), 5, 20, "%"),
 }
-# The torsion's shape is told, and is no cause.
+# The diagnosis describes the torsion's shape but does not name it as a cause.
 NEED_NO_NAME = (*OPTIONAL, "torsional_hardening", "motor_current")
 UNNAMED: dict[str, Fault] = {"output_lines": Fault(_lines, 1, 6, "arcsec")}
 
 
 def motor_current(rng: Draw, constant: float, design: Design) -> Cause:
-    """Amperes that stand for torque, their constant [N m/A] known to 20 %."""
+    """Motor current as torque; its constant [N m/A] is known to 20 %."""
     return sensor.MotorCurrent(
         constant=constant * rng.uniform(0.8, 1.25),
         friction=design.rated * rng.uniform(0.03, 0.1),
@@ -280,21 +280,21 @@ def motor_current(rng: Draw, constant: float, design: Design) -> Cause:
 
 
 def draw(rng: Draw, name: str, motion: Motion) -> Cause:
-    """Cause of a name, at least three times as large as can be found on a standard record."""
+    """Cause of a name, at least three times as large as the smallest findable size on a standard record."""
     return sized(rng, FAULTS.get(name) or UNKNOWN[name], motion)[0]
 
 
 def sized(rng: Draw, fault: Fault, motion: Motion) -> tuple[Cause, float]:
-    """The same of a kind, and by what factor the field may have it larger."""
+    """Cause of a kind, and the factor by which it may grow within its usual range."""
     scale = motion.design.scale(fault.unit)
     low = scale * max(fault.low, TIMES_LEAST * fault.least)
     high = max(low * 1.0001, scale * fault.high)
-    # Evenly in the logarithm: sizes of the field are small more often than large.
+    # Log-uniform: in practice small sizes are more frequent than large ones.
     amplitude = float(np.exp(rng.uniform(np.log(low), np.log(high))))
     return fault.build(rng, amplitude, motion), high / amplitude
 
 
-# Of a joint that is its page and has no teeth ---
+# Faults of a joint that follows its page and has no teeth ---
 
 
 def _wave(kind: type[page.Wave]) -> Build:
@@ -326,7 +326,7 @@ PAGE_USUAL: dict[str, Fault] = {
         lambda r, a, m: page.SlowDrift(a * ARCSEC, int(r.integers(1 << 31))), 0.2, 2, "arcsec"
     ),
 }
-# Two to ten times what a new gear has.
+# Two to ten times the size in a new gear.
 PAGE: dict[str, Fault] = {
     "hysteresis": Fault(_page_loop, 20, 40, "arcsec"),
     "input_wave": Fault(_wave(page.LargeWave), 15, 30, "arcsec"),

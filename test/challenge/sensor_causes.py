@@ -1,4 +1,4 @@
-"""Faults of encoders, streams and torque sensors, and what discs off their shaft make of an angle."""
+"""Faults of encoders, streams and torque sensors, and readings of discs off their shaft."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from challenge.design import Array
 
 
 def off_centre(angle: Array, eccentricity: float, direction: float) -> Array:
-    """Reading [rad] of one head over a disc whose centre is off the shaft, a fraction of the head's radius.
+    """Reading [rad] of one head; the disc's centre is off the shaft by a fraction of the head's radius.
 
-    The head sees the disc's angle at its own place: that of the line from the disc's centre to the head.
+    The head reads the disc's angle at its own place, along the line from the disc's centre to the head.
     """
     centre = angle + direction
     line = np.arctan2(-eccentricity * np.sin(centre), 1 - eccentricity * np.cos(centre))
@@ -30,9 +30,9 @@ def quadrature(angle: Array, lines: int, offset: float, phase: float, gain: floa
 
 @dataclass(frozen=True)
 class Offset(Cause):
-    """Something off the shaft that it should be on, by an offset as a fraction of the reading's radius.
+    """A part off its shaft, by a fraction of the radius of the reading.
 
-    ``second`` is a second harmonic (of a disc that is tilted or oval, too) as a share of the first.
+    ``second`` is a second harmonic as a share of the first, as from a disc that is also tilted or oval.
     """
 
     offset: float
@@ -68,7 +68,7 @@ class InputEncoderEccentricity(Offset, name="input_encoder_eccentricity"):
 
 @dataclass(frozen=True)
 class EncoderInterpolation(Cause, name="encoder_interpolation"):
-    """Quadrature signals of the input encoder with an offset (fraction), ``lines`` periods a turn."""
+    """Quadrature signals of the input encoder with an offset (fraction), ``lines`` periods per turn."""
 
     offset: float
     phase: float
@@ -104,7 +104,7 @@ class StreamDelay(Cause, name="stream_delay"):
 
 @dataclass(frozen=True)
 class RatioError(Cause, name="ratio_error"):
-    """The reported input counts a fraction too much: ratio 100 (1 + fraction), or a belt not declared."""
+    """The reported input is too large by a fraction: ratio 100 (1 + fraction), or an undeclared belt."""
 
     fraction: float
 
@@ -114,7 +114,7 @@ class RatioError(Cause, name="ratio_error"):
 
 @dataclass(frozen=True)
 class TorqueOffset(Cause, name="torque_offset"):
-    """The true torque is the reported plus this [N m]."""
+    """The true torque is the reported torque plus this [N m]."""
 
     torque: float
 
@@ -134,10 +134,11 @@ class TorqueGain(Cause, name="torque_gain"):
 
 @dataclass(frozen=True)
 class MotorCurrent(Cause, name="motor_current", sizes=("friction",)):
-    """Amperes for torque: the motor moves itself, the wave generator's friction and the load that reaches it.
+    """Motor current as torque. It includes the motor's inertia and the friction of the wave generator.
 
-    ``constant`` [N m/A] at the output; friction [N m], and as a share of the load; viscous [N m] at 1 rad/s
-    of the output, to the power 0.8; inertia of the motor seen from the output [kg m²].
+    ``constant`` [N m/A] refers to the output. Friction is constant [N m] plus a share of the load. Viscous
+    torque [N m] applies at 1 rad/s of the output and grows as speed to the power 0.8. Inertia [kg m²] is the
+    motor's, seen from the output.
     """
 
     constant: float
@@ -156,10 +157,10 @@ class MotorCurrent(Cause, name="motor_current", sizes=("friction",)):
 
 @dataclass(frozen=True)
 class TorqueSensorRipple(Cause, name="torque_sensor_ripple", sizes=("share", "constant")):
-    """Strain gauges on the flexspline read the wave generator: a share of the torque, and a part [N m].
+    """Strain gauges on the flexspline sense the wave generator: a share of the torque, and a constant [N m].
 
-    Twice a turn, and less at 1 and 4 (shares of that at 2); Taghirad, Belanger, IEEE Trans. Robotics and
-    Automation 15(1), 1999, found 2 and its multiples.
+    The ripple is of order 2, with less at orders 1 and 4 (shares of order 2). Taghirad, Belanger, IEEE Trans.
+    Robotics and Automation 15(1), 1999, found order 2 and its multiples.
     """
 
     share: float

@@ -1,4 +1,4 @@
-"""What a record was made from: the parameters of the drive, and the arcsecond."""
+"""The truth of a record: the parameters of its drive, and the arcsecond."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ ARCSEC = np.pi / 180 / 3600  # [rad]
 
 @dataclass(frozen=True)
 class Base:
-    """Parameters of a drive without faults; the defaults are the drive as configured.
+    """Parameters of a drive without faults; the defaults are the configured drive.
 
     Attributes
     ----------
     e, psi : displacement of the wave generator fixed in the housing [m], its direction [rad]
-    runout, runout_psi : part that turns with the wave generator [m], direction at theta_W = 0 [rad]
+    runout, runout_psi : displacement that turns with the wave generator [m], direction at theta_W = 0 [rad]
     datum : radius from which the slots are measured [m]
     compliance : of one tooth pair [m/N]
-    cup : torsion of the cup beyond the teeth's [rad/(N m)]
+    cup : compliance of the cup in addition to the teeth [rad/(N m)]
     offset : constant added to the output angle [rad]
-    design : the drive as its maker means it
+    design : the drive as its maker intends it
     """
 
     e: float = 0.0
@@ -54,7 +54,7 @@ NOMINAL = as_configured(SIZE_25)
 
 
 def drawn(rng: np.random.Generator, design: Design = SIZE_25) -> Base:
-    """Draw a drive as it may come from assembly: every parameter off, in ranges that go with the size."""
+    """Draw a drive after assembly: every parameter is off, within ranges that scale with the size."""
     meant, k = as_configured(design), design.module
     return Base(
         e=rng.uniform(0, 25e-6) * k,

@@ -1,12 +1,12 @@
-"""Values that the model must give, each with its source.
+"""Values that the model must reproduce, each with its source.
 
 PAPER: H. Dong, T. Chen, D. Wang, B. Dong, "Kinematic Model of Harmonic Drive in Robot Joints with Input
 Eccentricity Error", ROMANSY 22, CISM 584, pp. 134-140, 2019, doi 10.1007/978-3-319-78963-7_18.
 CATALOGUE: HFUS-25 catalogue, ratio 100 (K1 and K3 also in Schaeffler TPI 275).
-CALCULATION: independent calculation, flanks as 1,600-point polylines, no closed form; error below 0.02 um.
+CALCULATION: independent calculation with 1,600-point polylines as flanks, no closed form; error < 0.02 um.
 
-Unless stated otherwise: wave-generator angle 0 (long axis on tooth 0), arc offset 0, eccentricity (0, e),
-which is tangential to tooth 0, counter-clockwise. SI units.
+Unless stated otherwise: wave-generator angle 0 (long axis on tooth 0), arc offset 0, eccentricity (0, e).
+That direction is tangential to tooth 0, counter-clockwise. SI units.
 """
 
 from typing import NamedTuple
@@ -30,7 +30,7 @@ BACKLASH = {
 
 
 class LoadCase(NamedTuple):
-    """Torsion [rad], loaded flanks (+, -) and, where given, the largest force [N] under a torque [N m]."""
+    """Torsion [rad], number of loaded flanks (+, -) and, if given, largest force [N] under a torque [N m]."""
 
     eccentricity: float
     torque: float
@@ -50,7 +50,7 @@ LOAD_CASES = (
     LoadCase(ECCENTRICITY, 56.0, 1.301e-3, (64, 0), 60.1),
 )
 
-# CATALOGUE: limits of the torque ranges [N m] and torsional stiffness in them [N m/rad]
+# CATALOGUE: limits of the torque ranges [N m] and torsional stiffness in each [N m/rad]
 T1, T2 = 14.0, 48.0
 K1, K2, K3 = 3.1e4, 5.0e4, 5.7e4
 
@@ -58,24 +58,24 @@ K1, K2, K3 = 3.1e4, 5.0e4, 5.7e4
 SECANT_STIFFNESS = {(1.0, T1): 3.0e4, (T1, T2): 4.8e4, (RATED_TORQUE, 100.0): 6.1e4}
 
 # Interference ---
-# The paper holds tooth 0 on the axis at the initial moment (eq. 1): the neutral curve is displaced by e along
-# y, the flexspline by -e along the curve. A tooth's backlash is the lesser of its two flanks; the least over
+# The paper keeps tooth 0 on the axis at the initial moment (eq. 1): the neutral curve moves by e along y, the
+# flexspline by -e along the curve. A tooth's backlash is the smaller one of its two flanks. The minimum over
 # the engagement region of tooth 0 counts (not the other lobe, where e points the other way).
-# CALCULATION: the interference first appears at ECCENTRICITY if the datum is DATUM_OF_INTERFERENCE, which is
-# 29.868 mm rounded to a micrometre. It is sharp: 0.122 um of datum move it by 1 um; with 29.868 mm it is
-# ECCENTRICITY_AT_ROUNDED_DATUM.
+# CALCULATION: interference first appears at ECCENTRICITY if the datum is DATUM_OF_INTERFERENCE. Rounded to a
+# micrometre, this is 29.868 mm. The dependence is steep: 0.122 um of datum shift the eccentricity by 1 um.
+# With 29.868 mm interference first appears at ECCENTRICITY_AT_ROUNDED_DATUM.
 DATUM_OF_INTERFERENCE = 29.86833e-3  # [m]
 ECCENTRICITY_AT_ROUNDED_DATUM = 20.32e-6  # [m]
 
 
 # One tooth over a turn (PAPER: backlash grows, load falls) ---
-# CALCULATION: tooth 0, eccentricity along x. Least backlash of either flank and largest force at 56 N m while
-# the lobe passes tooth 0, wave-generator angle from -0.7 to 0 rad. The other lobe differs by some percent,
-# because the tooth has moved on by one pitch (47.4 N and -9.08 um at +ECCENTRICITY).
+# CALCULATION: tooth 0, eccentricity along x. Smallest backlash of either flank and largest force at 56 N m
+# while the lobe passes tooth 0, wave-generator angle from -0.7 to 0 rad. The other lobe differs by a few
+# percent, because the tooth has moved by one pitch (47.4 N and -9.08 um at +ECCENTRICITY).
 
 
 class Turn(NamedTuple):
-    """Eccentricity (x, 0) [m], least backlash [m] and largest force [N] of tooth 0."""
+    """Eccentricity (x, 0) [m], smallest backlash [m] and largest force [N] of tooth 0."""
 
     eccentricity: float
     least_backlash: float
@@ -90,14 +90,14 @@ TURNS = (
 
 # Transmission error over a turn of the wave generator ---
 # CALCULATION, 512 angles of half a turn (a static eccentricity repeats every half turn, one tooth pitch
-# of the flexspline): amplitude of order 2 and peak to peak [arcsec] at e = ECCENTRICITY by torque [N m].
+# of the flexspline): amplitude of order 2 and peak to peak [arcsec] at e = ECCENTRICITY, by torque [N m].
 ORDER_2_ARCSEC = {10.0: 24.18, 56.0: 12.55}
 PEAK_TO_PEAK_ARCSEC = {10.0: 50.92, 56.0: 25.19}
-RIPPLE_ARCSEC = {10.0: 0.1, 56.0: 0.2}  # bounds of the peak to peak at e = 0, tooth passing
+RIPPLE_ARCSEC = {10.0: 0.1, 56.0: 0.2}  # bounds of the peak to peak at e = 0, from tooth passing
 
 # Cams ---
-# CALCULATION (support functions by quadrature): harmonics c_k [m] of the neutral curve of radius 30 mm, the
-# ellipse's 29.999959 mm, all with the ellipse's greatest displacement, 0.258441 mm.
+# CALCULATION (support functions by quadrature): harmonics c_k [m] of the neutral curve. Its radius is 30 mm,
+# for the ellipse 29.999959 mm. All have the ellipse's largest displacement, 0.258441 mm.
 ELLIPSE_RADIUS = 29.999959e-3
 ELLIPSE_HARMONICS = (0.258997587e-3, -5.59009e-7, 2.41309e-9, -1.302e-11)
 DISPLACEMENT = 0.258441e-3
@@ -108,17 +108,17 @@ FOUR_FORCES_HARMONICS = {  # by the angle of the forces [degrees]
 }
 
 # Sections ---
-# CALCULATION, five sections at Gauss-Legendre points of 11 mm, R_b = 30 mm; semi-axes follow the displacement
-# with the perimeter kept. Wave generator angle 0; eccentricity across the long axis, the tilt with it.
+# CALCULATION, five sections at Gauss-Legendre points of 11 mm, R_b = 30 mm. Semi-axes follow the displacement
+# at constant perimeter. Wave generator angle 0; eccentricity across the long axis, tilt likewise.
 SECTION_TORQUES = (1.0, 14.0, 56.0, 100.0)  # [N m]
 FACE_WIDTH = 11e-3  # [m]
 
 
 class SectionCase(NamedTuple):
-    """Cup length [m] (0: a ring), eccentricity [m], tilt [rad]; torsions [rad], least backlashes [m].
+    """Cup length [m] (0: a ring), eccentricity [m], tilt [rad]; torsions [rad], smallest backlashes [m].
 
-    Torsions are at `SECTION_TORQUES`; backlashes of + flanks from the bottom's side to the open end;
-    amplitude of order 2 of the wave generator's turn at those torques [arcsec], where given.
+    Torsions refer to `SECTION_TORQUES`; backlashes of + flanks run from the bottom's side to the open end.
+    `order_2` is the amplitude of order 2 of the wave generator's turn at those torques [arcsec], if given.
     """
 
     cup_length: float
@@ -161,13 +161,13 @@ SECTION_CASES = (
     ),
     _case(0.025, 0.0, 0.0, (0.7511, 5.3730, 13.867, 21.108), (-8.53, -4.24, 0.95, 4.53, 6.34)),
 )
-ECCENTRIC_ORDER_2 = (7.38, 6.70, 2.17, 1.50)  # [arcsec], of 10 um without tilt and coning
+ECCENTRIC_ORDER_2 = (7.38, 6.70, 2.17, 1.50)  # [arcsec], 10 um of eccentricity without tilt and coning
 
 
 class PlaneGear(NamedTuple):
-    """A gear from its page by one section: the page's torsion at eight torques [arcsec], force at rest [N].
+    """A page's gear with one section: the page's torsion at eight torques [arcsec], force without load [N].
 
-    The force is that of a fit of datum and compliances by other code.
+    The force comes from a fit of datum and compliances by other code.
     """
 
     torsion: tuple[float, ...]
