@@ -9,7 +9,7 @@ from parts import plain, table
 
 
 def about() -> str:
-    """What the program is for, in its own words."""
+    """Help of the whole program."""
     return plain(cli.help or "")
 
 
