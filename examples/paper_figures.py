@@ -365,7 +365,7 @@ def moment(drive: Drive, eccentricity: complex, torque: float, section: int | No
 
 
 def _seen(state: MeshState, section: int | None) -> MeshState:
-    """The teeth of one section."""
+    """The state with the teeth of one section, if one is given."""
     if section is None:
         return state
     return replace(state, backlash=state.section_backlash[:, section], load=state.section_load[:, section])
@@ -378,7 +378,7 @@ def engaged(drive: Drive) -> npt.NDArray[np.int64]:
 
 
 def _free(drive: Drive, eccentricity: complex, section: int | None = None) -> Floats:
-    """Backlash of the teeth near the long axis at that moment: the lesser of their two flanks [m]."""
+    """Backlash of the teeth near the long axis at the paper's moment, the lesser of both flanks [m]."""
     backlash = moment(drive, eccentricity, 0.0, section).backlash[0]
     return np.asarray(np.fmin(backlash[0], backlash[1])[engaged(drive)])
 

@@ -1,4 +1,4 @@
-"""The command line as click has it: command_line.md."""
+"""The command line, from click's own description: command_line.md."""
 
 from __future__ import annotations
 

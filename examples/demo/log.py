@@ -12,7 +12,7 @@ from hd_diag.bag import BagReader
 
 
 class Log(NamedTuple):
-    """Types and numbers of messages by topic, what the node published by topic, and what is wrong."""
+    """Types and numbers of messages by topic, messages that the node published by topic, and problems."""
 
     types: dict[str, str]
     counts: Counter[str]

@@ -44,7 +44,7 @@ class Child(subprocess.Popen[bytes]):
 
     @property
     def lines(self) -> list[str]:
-        """What it has printed."""
+        """Lines that the process has printed."""
         return self._output.read_text(encoding="utf-8", errors="replace").splitlines()
 
     def check_running(self) -> None:

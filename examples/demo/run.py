@@ -140,7 +140,7 @@ def _prepared(folder: Path | None) -> Path:
 
 @contextlib.contextmanager
 def _processes(folder: Path, seconds: float) -> Iterator[tuple[Child, Child]]:
-    """Node and joint, running; whatever happens, both have ended afterwards."""
+    """Run node and joint; both have ended afterwards in any case."""
     node, joint = folder / "node.yaml", folder / "joint.yaml"
     of_node = {
         "joints": [_JOINT],
@@ -215,7 +215,7 @@ def _change_eccentricity(
 
 
 def _published(joint: Child) -> int:
-    """Number of messages that the joint says it has published; -1 where it says nothing."""
+    """Number of messages that the joint says it has published; -1 if it says nothing."""
     try:
         return int(json.loads(joint.lines[-1])["published"])
     except (IndexError, KeyError, TypeError, ValueError):
@@ -232,7 +232,7 @@ def _wait_for_samples(observer: Observer, number: int) -> None:
 def _missing(
     steps: Sequence[Step], refusals: Sequence[str], codes: Mapping[str, int], published: int, log: Log
 ) -> list[str]:
-    """What did not hold, one line each."""
+    """Expectations that did not hold, one line each."""
     found = [f"the {name} ended with code {code}" for name, code in codes.items() if code != 0]
     shown = [step for step in steps if step.reports]
     if len(shown) < len(ECCENTRICITIES):

@@ -48,7 +48,7 @@ def gear(
         with writing(out) as place:
             place.write_text(gear_file.text(config, found, assessed, " ".join(words)), encoding="utf-8")
     if figure:
-        from hd_diag.report.pictures.canvas import save  # matplotlib takes its time
+        from hd_diag.report.pictures.canvas import save  # late: matplotlib takes its time
 
         drawn = load_example("tooth_pair").tooth_pair_picture(found.configured.mesh.geometry)
         with writing(figure) as place:
@@ -95,7 +95,7 @@ def _show(joint: JointConfig, assessed: Assessment) -> None:
 
 
 def _usual_ratio(joint: JointConfig) -> str:
-    """Advice if the ratio is off by one from those that pages name; empty otherwise."""
+    """Advice if the ratio differs by one from a usual one on pages; empty otherwise."""
     geometry, kinematics = joint.configured.mesh.geometry, joint.configured.kinematics
     teeth = f"{geometry.flexspline_teeth}/{geometry.circular_spline_teeth} teeth"
     ratio = round(abs(kinematics.ratio))

@@ -63,7 +63,7 @@ def watch(
 
 
 def _wait_for_all(state: Watch, listener: Listener, came: Sequence[int], timeout: float) -> None:
-    """Wait until all that was asked for is reported, and others had the time to be discovered."""
+    """Wait until the chosen joints are reported, and other nodes have had time to be discovered."""
     end, settled = time.monotonic() + timeout, math.inf
     settle = _SETTLE_JOINTS if state.joints else _SETTLE
     while not came and (remaining := end - time.monotonic()) > 0.0:

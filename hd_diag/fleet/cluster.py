@@ -1,4 +1,4 @@
-"""Workers of a Dask scheduler; bags are read where the worker is."""
+"""Workers of a Dask scheduler; each worker reads bags on its own machine."""
 
 from __future__ import annotations
 

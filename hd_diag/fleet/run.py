@@ -28,7 +28,7 @@ Progress = Callable[[str, int, int, int], None]
 """Called with the stage, the work done in it, its total work, and the number of tasks done."""
 
 _Outcomes = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[tuple[int, Any]]]
-"""`hd_diag.process_pool.run` of a function and items."""
+"""`hd_diag.process_pool.run`, called with a function and items."""
 
 _NAMES_SHOWN = 8
 _SUFFIXES = (".mcap", ".db3")

@@ -1,4 +1,4 @@
-"""What a run shows: JSON, and tables and sentences for people."""
+"""Output of a run: JSON, and tables and sentences for people."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _MONTH = 30.0 * 86400.0  # [s]
 
 
 def as_json(out: str, found: Health) -> dict[str, Any]:
-    """What `hd-diag fleet --json` writes, with the table's path: SI, times in ISO 8601 UTC."""
+    """Content of `hd-diag fleet --json`; `out` is the table's path. SI units, times in ISO 8601 UTC."""
     rows = found.rows
     content = {
         "schema": SCHEMA,
@@ -160,7 +160,7 @@ def day(time: float) -> str:
 
 
 def headline(found: Health) -> str:
-    """How many joints have which state, what changed, and which bags are lost."""
+    """Numbers of joints by state, of those that changed, and of unusable or incomplete bags."""
     standings, rows = found.standings, [found.rows[n] for n in found.attention[0]]
     if not standings:
         return "No joint was found in any recording."

@@ -58,8 +58,9 @@ class Trend:
 
     With `needed` values the clearest possible step would be reported; each value has a weight. The p-values
     are against a constant, alone (p) and corrected for all series (q); nan with too few values. `line` is
-    Theil and Sen's by scipy [unit/s, unit], with times counted from the first. `crossing` is when the limit
-    is reached [s since 1970] with its 95 % interval, inf if that has no end; None if no drift leads there.
+    scipy's Theil–Sen line [unit/s, unit], with times counted from the first. `crossing` is the time when the
+    limit is reached [s since 1970], with its 95 % interval, inf if the interval has no end; None if no drift
+    leads there.
     """
 
     series: Series

@@ -54,7 +54,7 @@ class _Beside:
             self._arrived.clear()
 
     def close(self) -> None:
-        """Look no more."""
+        """Stop looking."""
         if self._reader is not None:
             self._reader.close()
         self._reader = None
@@ -74,6 +74,6 @@ class Withheld:
             each.look(any(begin < silence < end for silence in silences))
 
     def close(self) -> None:
-        """Look no more."""
+        """Stop looking."""
         for each in self._beside:
             each.close()
