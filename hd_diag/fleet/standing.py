@@ -84,7 +84,7 @@ class Health:
     standings: Sequence[Standing]
 
     def fails(self, least: str) -> bool:
-        """Whether a joint is ``red``; for ``amber``, whether one is not green, or a bag not judged or cut off."""
+        """Whether a joint is ``red``; for ``amber``: is not green, or a bag was not judged or is cut off."""
         if least == RED:
             return any(one.colour.state == RED for one in self.standings)
         return any(one.colour.state != GREEN for one in self.standings) or bool(self.attention[0])
