@@ -116,7 +116,7 @@ def _page(task: Task, report: JointReport) -> str:
 
 
 def _not_judged(task: Task, reason: str) -> Row:
-    """Columns of a joint whose angles cannot be judged: an ``error`` and, if known, the torque's ripple."""
+    """Columns of a joint whose angles cannot be judged: the torque's ripple, or an ``error``."""
     motion = found = None
     with contextlib.suppress(RecordError):
         motion = read_motion([task.bag], task.joint)

@@ -143,7 +143,7 @@ def least_values(tests: int) -> int:
 
 
 def weights(value: Floats, std: Floats) -> Floats:
-    """Inverse variances of values (n,): squares of their deviations plus the variance between bags.
+    """Inverse of each value's variance (n,), which is its squared deviation plus the variance between bags.
 
     Deviations that are nan or zero count as the median of the others; if none is known, all weights are
     equal.
@@ -194,7 +194,7 @@ def permuted(value: Floats, weight: Floats, most: int, rng: np.random.Generator)
 def segments(value: Floats, weight: Floats, penalty: float) -> list[int]:
     """Indices of the first values after each change of the weighted mean; empty if it does not change.
 
-    Each change must lower the weighted sum of squares by `penalty`.
+    Each change must lower the weighted sum of squares by at least `penalty`.
 
     Killick, Fearnhead, Eckley (2012), Optimal detection of changepoints with a linear computational cost. A
     weighted mean is a regression of √w·value on √w.
@@ -250,7 +250,8 @@ def _line_is_better(series: Series, weight: Floats, edges: list[int]) -> bool:
 def _crossing(series: Series, line: Any, rng: np.random.Generator) -> tuple[float, float, float] | None:
     """Time when the line reaches the limit, with its interval by bootstrap of the residuals [s since 1970].
 
-    With few values the residuals are too small and their quantiles too near: Student's t widens both.
+    With few values the residuals are too small, and their quantiles too near: both are widened, the quantiles
+    as by Student's t.
     """
     if not (np.isfinite(series.limit) and line.slope > 0.0):
         return None

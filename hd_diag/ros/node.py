@@ -144,7 +144,7 @@ class DiagnosticNode(Node):
                 period = 1.0 / self._session.config.diagnostics_rate
                 self._next_report = max(self._next_report + period, now)
                 self._survive("a report failed", self._report)
-                if self._log.split_if_due(self._last_time):  # no sample of the old file lacks its report
+                if self._log.split_if_due(self._last_time):  # after a report: no sample awaits one
                     self._session.start_again(self._now())
             self._next_look = min(now + _LOOP_PERIOD, self._next_report)
 
