@@ -1,4 +1,4 @@
-"""Sphinx configuration: pages of plain Markdown, see generate.py; nothing from the network."""
+"""Sphinx configuration: pages of plain Markdown (see generate.py), nothing from the network."""
 
 import sys
 from pathlib import Path

@@ -1,8 +1,8 @@
-"""Write docs/tables/gears.md: how well drives made from their pages have the torsion curves of these.
+"""Write docs/tables/gears.md: how well drives made from catalogue pages match the pages' torsion curves.
 
     python docs/gear_table.py
 
-Gears whose pages are the same stand in one row. 115 gears take about half a minute.
+Gears with the same page share a row. 115 gears take about half a minute.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ HEAD = (
 
 
 def assessed(gear: Gear) -> Assessment:
-    """What the drive of a gear is."""
+    """Assessment of the drive made from a gear's page."""
     config = resolve({f"joint_1.gear.{name}": value for name, value in gear.given.items()})
     return assess(config, config.joints[0])
 
 
 def rows(gears: Mapping[str, Gear]) -> Iterable[str]:
-    """Lines of the table for some gears of it, those with the same page in one."""
+    """Lines of the table for some gears; gears with the same page share a line."""
     same: dict[Page, list[str]] = {}
     for name, gear in gears.items():
         same.setdefault(gear.page, []).append(name)

@@ -1,4 +1,4 @@
-"""Write the generated parts of the pages, and their pictures, as the code and the tables have them now.
+"""Write the generated parts of the pages, and their pictures, from the present code and tables.
 
     python docs/generate.py [--check] [--gallery]
 
@@ -40,7 +40,7 @@ LANGUAGES = {".py": "python", ".yaml": "yaml", ".xml": "xml"}
 FIGURES, GALLERY = DOCS / "figures", DOCS / "gallery"
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
 ROUNDING = 0.06  # by which coordinates may differ between processors [pt]
-# The same in pictures of what a search for causes gives: they show the same, whatever its last digits.
+# The same for pictures of a search for causes, whose last digits do not matter [pt].
 FITTED = 6.0
 
 
@@ -82,7 +82,7 @@ def same_in_gallery(name: str, kept: str, drawn: str) -> bool:
 
 
 def stale_gallery(write: bool) -> list[str]:
-    """Names of the gallery's pictures that their scripts draw otherwise; they are written if asked for."""
+    """Names of the gallery's pictures that their scripts now draw differently; `write` renews them."""
     old, path = [], f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     own = {"PATH": path, "MATPLOTLIBRC": str(GALLERY / "matplotlibrc"), "SOURCE_DATE_EPOCH": "0"}
     for script in sorted(GALLERY.glob("*.py")):
@@ -98,7 +98,7 @@ def stale_gallery(write: bool) -> list[str]:
 
 
 def stale(write: bool) -> list[str]:
-    """Names of the pages and pictures that are out of date; they are written if asked for."""
+    """Names of the pages and pictures that are out of date; `write` renews them."""
     old = []
     with pictures.drawn() as folder:
         captions = pictures.captions(folder)

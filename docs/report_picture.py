@@ -58,7 +58,7 @@ def fleet(folder: Path) -> Path:
 
 
 def picture(made: Callable[[Path], Path], target: Path, height: int = HEIGHT) -> None:
-    """Make a page, look, and keep what is seen with few colours."""
+    """Make a page and save a screenshot of it with few colours."""
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     if browser is None:
         sys.exit(f"needs one of {', '.join(BROWSERS)}")

@@ -1,4 +1,4 @@
-"""Run the commands of the pages again and put what they say now beneath them.
+"""Run the commands of the pages again and put their present output beneath them.
 
     python docs/rerun.py docs/tour.md ...
 
@@ -25,7 +25,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 BLOCK = re.compile(r"(?ms)^```console\n(.*?)^```$")
 END = "\x1e"  # printed after each command
-# A line every 10 s, on a machine as slow as that.
+# Progress lines every 10 s, which only a slow machine prints.
 PROGRESS = re.compile(r"(?m)^hd-diag: .*: (\d[^:]* so far|\d+ %.*|[\d,]+ of [\d,]+ .*)\n")
 TREE = ("config", "docs", "examples")  # folders of the tree that commands name
 LONGEST = 900.0  # for a page [s]
@@ -37,7 +37,7 @@ def commands(text: str) -> list[str]:
 
 
 def told(lines: list[str], folder: Path) -> Iterator[str]:
-    """What each command prints on both streams, without the folder's own name."""
+    """Output of each command on both streams, without the folder's own name."""
     script = "".join(f"{line}\nprintf '{END}'\n" for line in lines)
     settings = {"COLUMNS": "88", "PYTHONWARNINGS": "ignore", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     with subprocess.Popen(
@@ -53,7 +53,7 @@ def told(lines: list[str], folder: Path) -> Iterator[str]:
         try:
             output = shell.communicate(timeout=LONGEST)[0]
         finally:
-            with contextlib.suppress(ProcessLookupError):  # what went on in the background
+            with contextlib.suppress(ProcessLookupError):  # processes still in the background
                 os.killpg(shell.pid, signal.SIGTERM)
     for part in output.split(END)[: len(lines)]:
         text = PROGRESS.sub("", part.replace(f"{folder}/", ""))

@@ -1,4 +1,4 @@
-"""A drive seen along its axis: what is eccentric to what, what counts positive, where teeth interfere."""
+"""Drawing of a drive along its axis: what is eccentric to what, positive directions, interfering teeth."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from hd_diag.report.pictures.canvas import ACCENT, EXTENDED, GRID, INK, NOMINAL,
 _HEIGHT = 7.2  # [inch]
 _TURNED = math.radians(25.0)  # theta_W
 _ACROSS = _TURNED + 0.5 * math.pi  # direction of the eccentricity: lobes are pressed together most
-_DASHED, _SIZE, _FREE = 1 / 15, 0.06, 0.1  # dashed line, eccentricity, largest backlash, of the module [-]
-_HOUSING, _MAJOR, _MINOR = 1.0, 0.8, 0.62  # radii of the sketch, the ring's being one
+_DASHED, _SIZE, _FREE = 1 / 15, 0.06, 0.1  # dashed line, eccentricity, largest backlash, over the module [-]
+_HOUSING, _MAJOR, _MINOR = 1.0, 0.8, 0.62  # radii of the sketch over that of the ring
 _CENTRE = 0.2 * np.exp(1j * _ACROSS)
 _OUTSIDE = 1.3  # radius of the dashed line
 _POINTS = 200

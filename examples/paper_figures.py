@@ -1,4 +1,4 @@
-"""What the paper's Figs. 5, 6 and 7 show, computed and drawn, and whether the claims made with them hold.
+"""The paper's Figs. 5, 6 and 7, computed and drawn by the model, and whether the paper's claims hold.
 
 `hd-diag figures` runs this file.
 
@@ -28,17 +28,17 @@ from hd_diag.report.pictures.canvas import DASHES, INK, SERIES, drawn, sheet, ti
 
 _PUBLISHED = 23e-6  # eccentricity at which interference first appears, section 4.2 [m]
 _SIZES = np.linspace(0.0, _PUBLISHED, 6)  # eccentricities drawn [m]
-_MOST = 40e-6  # within which interference is looked for [m]
-_DATUM_REACH = 20e-6  # by how much the datum may be moved to make it appear at the published one [m]
+_MOST = 40e-6  # largest eccentricity at which interference is looked for [m]
+_DATUM_REACH = 20e-6  # largest shift of the datum to get the published interference [m]
 _ROUNDING = 0.5e-6  # of a datum radius configured in micrometres [m]
-_ENGAGED = 1.0 / 5.0  # of all teeth, to either side of the long axis
-_FLANKS = (7.0 / 200.0, 24.0 / 200.0)  # between which, of all teeth, one flank alone is the nearer one
+_ENGAGED = 1.0 / 5.0  # share of all teeth shown to either side of the long axis
+_FLANKS = (7.0 / 200.0, 24.0 / 200.0)  # shares of all teeth between which one flank alone is the nearer one
 _TURN = 2.0 * np.pi
 _PASSAGE = np.linspace(-0.9, 0.9, 451)  # wave generator angles while a lobe passes a tooth [rad]
 _MICROMETRE = 1e-6
-_EQUAL = 1e-12  # [m]; two lengths as equal as rounding leaves them
-_SHOWN = 30.0  # to either side of the long axis [°]: over the whole wave the change is a line's width
-_FREE = {6: 40.0, 7: 60.0}  # backlash beyond which a tooth is simply free [µm]
+_EQUAL = 1e-12  # lengths that differ by less are equal up to rounding [m]
+_SHOWN = 30.0  # shown to either side of the long axis [°]: over a whole wave the change is as thin as a line
+_FREE = {6: 40.0, 7: 60.0}  # backlash above which a tooth counts as free [µm]
 _NEAR: Any = {"color": INK, "lw": 0.9, "ls": (0, (1, 1))}
 
 
@@ -53,9 +53,8 @@ class Claim(NamedTuple):
 class Study(NamedTuple):
     """What is drawn: eccentricities [m], their direction from the long axis [rad], torque [N m] (0: rated).
 
-    The section is counted from the cup's bottom, from 0; without one, teeth are those of the whole width and
-    the neutral layer that of the middle. The claims are the paper's: they are told of its own arrangement
-    alone.
+    `section` counts from 0 at the cup's bottom; None shows the teeth of the whole width and the neutral layer
+    of the middle. Claims are the paper's, and are given for its own arrangement only.
     """
 
     sizes: Floats = _SIZES
@@ -65,7 +64,7 @@ class Study(NamedTuple):
 
     @property
     def is_published(self) -> bool:
-        """Whether it is the paper's."""
+        """Whether this is the paper's arrangement."""
         return self.sizes is _SIZES and self.direction == 0.5 * np.pi and not self.torque
 
 
@@ -126,15 +125,15 @@ class NeutralLayer:
     Attributes
     ----------
     stations : ndarray, shape (stations,)
-        Where the points stand on the undeformed layer [rad].
+        Angles of the points on the undeformed layer [rad].
     from_long_axis : ndarray, shape (places,)
         Arc from the long axis over R_b [rad].
     displacement : ndarray, shape (2, stations, places)
-        Radial, off the undeformed circle [m]: without and with the largest eccentricity.
+        Radial, from the undeformed circle [m]: without and with the largest eccentricity.
     direction : ndarray, shape (directions,)
-        Where a point is [rad].
+        Direction of a point [rad].
     change : ndarray, shape (eccentricities, directions)
-        Of its radial displacement by the eccentricity [m].
+        Change of its radial displacement by the eccentricity [m].
     eccentricity : ndarray, shape (eccentricities,)
         [m]
     claims : tuple of Claim
@@ -160,7 +159,7 @@ class Engagement:
     place : ndarray, shape (places,)
         Fig. 6: tooth, from the long axis, positive to the right; Fig. 7: angle of the wave generator [rad].
     backlash, load : ndarray, shape (eccentricities, places)
-        Lesser of both flanks, without torque [m]; sum of both at the torque [N].
+        Lesser of both flanks without torque [m]; sum of both at `torque` [N].
     near : tuple of two ndarray, shape (places,), or None
         Fig. 7: backlash and load for the largest eccentricity towards the tooth.
     torque : float
@@ -193,7 +192,7 @@ def neutral_layer(drive: Drive, study: Study = PAPER) -> NeutralLayer:
 
 
 def _layer(drive: Drive, section: int | None) -> tuple[NeutralCurve, complex]:
-    """Neutral curve of a section, else of the middle, and where the tilt alone puts its centre [m]."""
+    """Neutral curve of a section, by default the middle, and the offset of its centre by the tilt [m]."""
     geometry = drive.mesh.geometry
     if section is None:
         return geometry.curve, 0.0
@@ -201,7 +200,7 @@ def _layer(drive: Drive, section: int | None) -> tuple[NeutralCurve, complex]:
 
 
 def _radial(curve: NeutralCurve, place: Floats, turned: Floats, eccentricity: complex) -> Floats:
-    """Radial displacement of points of the layer [m] at places from the long axis, it being turned [rad]."""
+    """Radial displacement [m] of the layer's points at places from the long axis, which is turned [rad]."""
     angle, height, offset = tooth_axes(curve, place)
     point = (height + 1j * offset) * np.exp(1j * (angle + turned)) + eccentricity
     return np.asarray(np.abs(point) - curve.radius)
@@ -282,12 +281,12 @@ def _first_claim(drive: Drive, section: int | None) -> Claim:
 
 
 def first_interference(drive: Drive, section: int | None = None) -> float:
-    """Eccentricity at which a tooth of the engagement region has no backlash left [m]; nan where none has."""
+    """Eccentricity at which a tooth near the long axis first has no backlash [m]; nan if none has."""
     return _root(lambda e: float(np.nanmin(_free(drive, 1j * e, section))), 0.0, _MOST)
 
 
 def _published_datum(drive: Drive, section: int | None) -> float:
-    """By how much the slots' datum must move for the published first interference [m]; nan if too far."""
+    """Shift of the slots' datum that gives the published first interference [m]; nan if it is too large."""
     geometry = drive.mesh.geometry
 
     def least(shift: float) -> float:
@@ -299,7 +298,7 @@ def _published_datum(drive: Drive, section: int | None) -> float:
 
 
 def _root(function: Callable[[float], float], low: float, high: float) -> float:
-    """Where a function of a length [m] is zero; nan where it has one sign at both ends."""
+    """Zero of a function of a length [m]; nan if the function has one sign at both ends."""
     if not function(low) * function(high) < 0.0:
         return float("nan")
     return float(brentq(function, low, high, xtol=1e-10))
@@ -347,14 +346,14 @@ def tooth_over_time(drive: Drive, study: Study = PAPER) -> Engagement:
 
 
 def _passage(drive: Drive, eccentricity: float, section: int | None) -> tuple[Floats, Floats]:
-    """Backlash [m] and load [N] of tooth 0 over a lobe's passage, the eccentricity along the tooth."""
+    """Backlash [m] and load [N] of tooth 0 during a lobe's passage, with the eccentricity along the tooth."""
     placed = _placed(drive, complex(eccentricity, 0.0), 0.0)
     state = _seen(mesh_state(placed, _PASSAGE, np.full(_PASSAGE.size, drive.rated_torque)), section)
     return np.fmin(state.backlash[:, 0, 0], state.backlash[:, 1, 0]), state.load[:, :, 0].sum(axis=1)
 
 
 def _placed(drive: Drive, eccentricity: complex, arc_offset: float) -> Drive:
-    """The drive with this displacement alone, the wave generator's angle for its input angle."""
+    """The drive with this displacement alone; its input angle is the wave generator's angle."""
     mesh = replace(drive.mesh, eccentricity=eccentricity, runout=0.0, arc_offset=arc_offset)
     return Drive(mesh, Kinematics(-mesh.geometry.reduction), drive.rated_torque)
 
@@ -366,7 +365,7 @@ def moment(drive: Drive, eccentricity: complex, torque: float, section: int | No
 
 
 def _seen(state: MeshState, section: int | None) -> MeshState:
-    """The teeth of one section."""
+    """The state with the teeth of one section, if one is given."""
     if section is None:
         return state
     return replace(state, backlash=state.section_backlash[:, section], load=state.section_load[:, section])
@@ -379,7 +378,7 @@ def engaged(drive: Drive) -> npt.NDArray[np.int64]:
 
 
 def _free(drive: Drive, eccentricity: complex, section: int | None = None) -> Floats:
-    """Backlash of the teeth near the long axis at that moment: the lesser of their two flanks [m]."""
+    """Backlash of the teeth near the long axis at the paper's moment, the lesser of both flanks [m]."""
     backlash = moment(drive, eccentricity, 0.0, section).backlash[0]
     return np.asarray(np.fmin(backlash[0], backlash[1])[engaged(drive)])
 
@@ -432,7 +431,7 @@ def figure_7(found: Engagement) -> Figure:
 
 
 def _engagement(found: Engagement, place: Floats, height: float, free: float) -> tuple[Figure, Axes, Axes]:
-    """Backlash above, load below; the titles are still to come."""
+    """Backlash above, load below; the caller adds the titles."""
     figure, (top, bottom) = sheet(height, 2, sharex=True)
     rows = zip(SERIES, DASHES, found.eccentricity, found.backlash, found.load, strict=False)
     for colour, dashes, size, backlash, load in rows:

@@ -15,7 +15,7 @@ from hd_diag.arrays import Floats
 from hd_diag.drive import Drive
 from hd_diag.report.pictures.canvas import DASHES, INK, SERIES, drawn, sheet, titled
 
-_FREE = 40.0  # backlash beyond which a tooth is simply free [µm]
+_FREE = 40.0  # backlash above which a tooth counts as free [µm]
 _BELOW = 2.0  # room under the least backlash [µm]
 _PLACES = ("bottom", "middle", "open_end")
 
@@ -31,7 +31,7 @@ class AlongWidth:
     tooth : ndarray, shape (teeth,)
         From the long axis, positive to the right.
     backlash, load : ndarray, shape (sections, teeth)
-        Lesser of both flanks, without torque [m]; sum of both at the torque, over the section's share of the
+        Lesser of both flanks without torque [m]; sum of both at `torque`, over the section's share of the
         width [N/m].
     eccentricity, torque : float
         [m], [N m]
@@ -46,12 +46,12 @@ class AlongWidth:
 
 
 def figures(drive: Drive, study: paper.Study = paper.PAPER) -> list[paper.Drawn]:
-    """A figure of all sections, then the paper's in the middle one and those at both ends."""
+    """A figure of all sections, then the paper's figures for the middle section and both end sections."""
     found = along_width(drive, study)
     title = f"Backlash and load by section at {found.eccentricity * 1e6:.1f} µm and {found.torque:g} N m"
     whole = paper.Drawn("sections", title, sections_picture(found), (), _data(found))
     last = found.place.size - 1
-    # Of two sections none is the middle one.
+    # With two sections there is no middle one.
     numbers = (
         {0: _PLACES[0], last // 2: _PLACES[1], last: _PLACES[2]} if last > 1 else {0: "bottom", 1: "open_end"}
     )
@@ -90,7 +90,7 @@ def _signed(value: float) -> str:
 
 @drawn
 def sections_picture(found: AlongWidth) -> Figure:
-    """Backlash above, load below; of many sections as many as colours distinguish."""
+    """Backlash above, load below; of many sections only as many as there are colours."""
     figure, (top, bottom) = sheet(5.4, 2, sharex=True)
     shown = np.unique(np.linspace(0, found.place.size - 1, len(SERIES)).round().astype(np.int64))
     for colour, dashes, number in zip(SERIES, DASHES, shown.tolist(), strict=False):

@@ -22,9 +22,9 @@ _WIDTH = 4.4  # [inch]; letters are read on a phone, too
 _PANELS = (5.2, 1.8, 3.0, 3.6)  # heights [inch]
 _MM = 1e3
 _POINTS = 200
-_DEFORMED = 12.0  # by which the deformation is drawn larger [-]
-_ECCENTRIC, _RUNOUT = 0.25, 0.17  # of the radius, at which they are drawn
-_DIRECTION, _PHASE = math.radians(-50.0), math.radians(25.0)  # of the eccentricity and the long axis, drawn
+_DEFORMED = 12.0  # enlargement of the drawn deformation [-]
+_ECCENTRIC, _RUNOUT = 0.25, 0.17  # drawn sizes over the radius [-]
+_DIRECTION, _PHASE = math.radians(-50.0), math.radians(25.0)  # drawn directions of eccentricity and long axis
 _SMALL: Any = {"fontsize": 7.0}
 _BESIDE: Any = {"textcoords": "offset points", **_SMALL}
 _FLEXSPLINE, _CIRCULAR_SPLINE = REFIT, NOMINAL
@@ -45,7 +45,7 @@ def tooth_pair_picture(geometry: Geometry) -> Figure:
 
 
 def _assembly(axes: Axes, geometry: Geometry) -> None:
-    """Neutral curve, its axes and where the wave generator stands; deformation and displacement enlarged."""
+    """Neutral curve, its axes and the wave generator's place; deformation and displacement are enlarged."""
     radius = geometry.curve.radius * _MM
     axes_of_curve = geometry.semi_major, geometry.semi_minor
     major, minor = (radius + _DEFORMED * (axis * _MM - radius) for axis in axes_of_curve)
@@ -76,7 +76,7 @@ def _assembly(axes: Axes, geometry: Geometry) -> None:
     phase = "wave_generator_phase: the\nlong axis at input angle 0"
     runout = "runout.magnitude and .direction:\nturns with the wave generator"
     magnitude, between = "eccentricity.magnitude:\nfixed in the housing", 0.5 * (fixed + centre)
-    # Text, what it is of, on which side, at which height, and from where of the text a line leads there.
+    # Text, labelled point, side, height, place of the text where the line to the point begins, colour.
     labels: tuple[tuple[str, complex, float, float, tuple[float, float], str], ...] = (
         ("neutral_curve.semi_minor", minor_axis, left, 2.4, (1.0, 0.0), _FLEXSPLINE),
         (spline, on_spline, left, 1.95, (0.5, 0.0), _CIRCULAR_SPLINE),
@@ -133,7 +133,7 @@ def _pair(axes: Axes, geometry: Geometry) -> None:
 
 
 def _profile(axes: Axes, geometry: Geometry, name: str) -> None:
-    """One profile in its own frame: arcs with their centres and radii, and where it begins and ends."""
+    """One profile in its own frame: arcs with their centres and radii, beginning and end."""
     if name == "flexspline_tooth":
         flank, colour, zero = geometry.flexspline_tooth, _FLEXSPLINE, "neutral layer"
         low, high = geometry.flexspline_root, geometry.flexspline_tip
@@ -142,7 +142,7 @@ def _profile(axes: Axes, geometry: Geometry, name: str) -> None:
         flank, colour, zero = geometry.circular_spline_slot, _CIRCULAR_SPLINE, "circular_spline_datum"
         low = geometry.circular_spline_tip_radius - geometry.circular_spline_datum
         high, ends = geometry.slot_end, {"tip radius − datum": low}
-    assert isinstance(flank, DoubleArc)  # whose arcs are drawn
+    assert isinstance(flank, DoubleArc)  # its arcs are drawn
     outline = _outline(flank, low, high) * _MM
     axes.plot(outline.imag, outline.real, color=colour, lw=0.8)
     half = outline[:_POINTS]

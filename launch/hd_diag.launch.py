@@ -15,7 +15,7 @@ NODE_NAME = "hd_diag"
 def parameters_for(namespace: str, params_file: str) -> str:
     """Parameter file whose top key names the node in its namespace.
 
-    A file headed ``hd_diag:`` speaks to ``/hd_diag`` only; in a namespace its numbers would be ignored
+    A file headed ``hd_diag:`` applies to ``/hd_diag`` only; in a namespace ROS would ignore it
     silently. Only the key is replaced, so that every number stays as written.
     """
     if not namespace.strip("/"):

@@ -13,11 +13,11 @@ import numpy as np
 from hd_diag.arrays import Floats
 
 BASE, PITCH = 28.8e-3, 30.8777e-3  # radii [m]: a pressure angle of 21 degrees where teeth and slots meet
-LONG_AXIS, DATUM = 30.2584e-3, 29.868e-3  # [m], from which heights of tooth and slot are measured
+LONG_AXIS, DATUM = 30.2584e-3, 29.868e-3  # radii from which heights of tooth and slot are measured [m]
 
 
 def involute(half_width: float, origin: float, heights: Floats) -> Floats:
-    """Half widths (n,) [m] at heights above an origin, where it is known at the pitch radius."""
+    """Half widths (n,) [m] at heights above an origin, from the half width at the pitch radius."""
 
     def turned(radius: Floats | float) -> Floats:
         pressure = np.arccos(BASE / np.asarray(radius))

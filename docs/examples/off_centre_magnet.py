@@ -1,4 +1,4 @@
-"""A bag of a joint whose motor encoder reads an off-centre magnet; its configuration leaves out 12 µm, too.
+"""A bag of a joint whose motor encoder has an off-centre magnet; its 12 µm eccentricity is not configured.
 
 python docs/examples/off_centre_magnet.py magnet.mcap
 """
@@ -19,7 +19,7 @@ TRUTH = {"joint_1.eccentricity.magnitude": 12e-6, "joint_1.eccentricity.directio
 
 
 def misread(samples: Samples) -> Samples:
-    """The input angle as an off-centre magnet gives it."""
+    """Samples with the input angle as an off-centre magnet gives it."""
     return samples._replace(input_angle=samples.input_angle + SIZE * np.cos(samples.input_angle - DIRECTION))
 
 

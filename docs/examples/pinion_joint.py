@@ -21,13 +21,13 @@ MOTION = Motion(duration=120.0, sample_rate=200.0)
 
 
 def misread(samples: Samples) -> Samples:
-    """The output angle as the encoder on the pinion gives it."""
+    """Samples with the output angle as the encoder on the pinion gives it."""
     pinion = PINION_RATIO * samples.output_angle
     return samples._replace(output_angle=samples.output_angle + SIZE * np.cos(pinion - DIRECTION))
 
 
 def joint() -> SimulatedJoint:
-    """A drive with an eccentricity, and its encoder."""
+    """A joint with an eccentricity and the pinion's encoder."""
     return SimulatedJoint(resolve(TRUTH).joints[0].drive, Noise(white=1.0 * ARCSEC), alter=misread)
 
 

@@ -14,7 +14,7 @@ PATIENCE = 10.0  # [s]
 
 
 def parameter(text: str) -> Parameter:
-    """A number, true or false where it reads as one, else a text."""
+    """A parameter from NAME=VALUE: a number, true or false if the value reads as one, otherwise a text."""
     name, _, value = text.partition("=")
     with suppress(ValueError):
         value = json.loads(value)

@@ -1,4 +1,4 @@
-"""Parts of the pages that are made from the code, from tables of measurements and from example files."""
+"""Parts of the pages, made from the code, from tables of measurements and from example files."""
 
 from __future__ import annotations
 

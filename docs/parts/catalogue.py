@@ -44,7 +44,7 @@ def _row(quantity: Quantity) -> list[str]:
 
 
 def formula(effect: Effect) -> str:
-    """What it adds to the transmission error; its class says it where the effect does not."""
+    """An effect's part of the transmission error; the docstring of its class if the effect has no formula."""
     return " ".join((effect.formula or type(effect).__doc__ or "").split())
 
 

@@ -1,4 +1,4 @@
-"""The command line as click has it: command_line.md."""
+"""The command line, from click's own description: command_line.md."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from parts import plain, table
 
 
 def about() -> str:
-    """What the program is for, in its own words."""
+    """Help of the whole program."""
     return plain(cli.help or "")
 
 

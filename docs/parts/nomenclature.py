@@ -31,7 +31,7 @@ def symbols() -> str:
 
 
 def _entries(section: str) -> list[tuple[str, str]]:
-    """Pairs of term and meaning below a heading; a line without a term goes on."""
+    """Pairs of term and meaning below a heading; a line without a term continues the one before."""
     text = hd_diag.model.__doc__ or ""
     found = re.search(rf"(?m)^{section}\n((?:    .*\n)+)", text)
     if not found:

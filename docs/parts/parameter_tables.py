@@ -34,7 +34,7 @@ def _row(parameter: Parameter) -> list[str]:
 
 
 def default(parameter: Parameter) -> str:
-    """As it is written in a parameter file, with its unit."""
+    """Default value as written in a parameter file, with its unit."""
     unit = "" if parameter.unit == "-" else parameter.unit
     return f"{_written(parameter.default)} {unit}".rstrip()
 
@@ -48,7 +48,7 @@ def _written(value: Any) -> str:
 
 
 def allowed(parameter: Parameter) -> str:
-    """Values that are taken."""
+    """Allowed values: the choices, or the range if it is finite."""
     if parameter.choices:
         return ", ".join(parameter.choices)
     if not math.isfinite(parameter.low):

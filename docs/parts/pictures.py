@@ -1,4 +1,4 @@
-"""Pictures of the example drive, and what the model says of the paper's claims: paper.md."""
+"""Pictures of the example drive, and the model's answers to the paper's claims: paper.md."""
 
 from __future__ import annotations
 

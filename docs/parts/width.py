@@ -1,4 +1,4 @@
-"""Pictures of what happens along the width: coning, tilt, and why a real cup has no backlash (physics.md)."""
+"""Pictures along the width of the teeth: coning, tilt, and why a real cup has no backlash (physics.md)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hd_diag.model.mesh import Mesh
 from hd_diag.model.torsion import torsion
 from hd_diag.report.pictures.canvas import DASHES, INK, SERIES, drawn, save, sheet, titled
 
-WIDTH = 11e-3  # of the teeth, the paper's [m]
+WIDTH = 11e-3  # of the teeth, as in the paper [m]
 LENGTHS = {"ring": 0.0, "cup, 40 mm": 40e-3, "cup, 25 mm": 25e-3}  # from the bottom to the middle [m]
 SECTIONS = 9
 TILT = 1e-3  # [rad]
@@ -31,20 +31,20 @@ def draw(folder: Path) -> None:
 
 
 def cup(length: float, eccentricity: complex = 0.0, lean: complex = 0.0) -> Mesh:
-    """The example drive with its width, its wave generator displaced and leaning."""
+    """The example drive with a width, and its wave generator displaced and tilted."""
     wide = {"face_width": WIDTH, "cup_length": length, "sections": SECTIONS}
     geometry = replace(EXAMPLE.mesh.geometry, **wide)
     return replace(EXAMPLE.mesh, geometry=geometry, eccentricity=eccentricity, tilt=lean)
 
 
 def least_backlash(mesh: Mesh) -> np.ndarray:
-    """Of the + flanks in every section, the long axis at tooth 0 [m]."""
+    """Least backlash of the + flanks in every section, with the long axis at tooth 0 [m]."""
     return np.nanmin(mesh_state(mesh, np.zeros(1), np.zeros(1)).section_backlash[0, :, 0], axis=1)
 
 
 @drawn
 def coning() -> Figure:
-    """Where the layer stands at its long axis, and the least backlash, along the width."""
+    """Radial deformation at the long axis, and the least backlash, along the width."""
     figure, (top, bottom) = sheet(4.6, 2, sharex=True)
     for (name, length), (colour, dashes) in zip(LENGTHS.items(), STYLES, strict=False):
         geometry = cup(length).geometry
@@ -61,7 +61,7 @@ def coning() -> Figure:
 
 @drawn
 def tilt() -> Figure:
-    """Least backlash along the width of a ring and a cup, the wave generator leaning either way."""
+    """Least backlash along the width of a ring and a cup, with the wave generator tilted either way."""
     figure, panels = sheet(5.2, 2, sharex=True, sharey=True)
     cases = {"straight": 0.0, "leaning towards it": TILT, "leaning against it": -TILT}
     for axes, (name, length) in zip(panels, list(LENGTHS.items())[:2], strict=True):
@@ -76,7 +76,7 @@ def tilt() -> Figure:
 
 @drawn
 def no_backlash() -> Figure:
-    """Torsion over a small torque: the gap of a ring at no torque, and none in a cup."""
+    """Torsion over a small torque: a ring has a gap at zero torque, a cup has none."""
     figure, (axes,) = sheet(3.4)
     torque = np.concatenate([np.linspace(-TORQUE, -1e-6, 60), np.linspace(1e-6, TORQUE, 60)])
     for (name, length), (colour, dashes) in zip(LENGTHS.items(), STYLES, strict=False):

@@ -9,13 +9,13 @@ from docutils.utils.math import latex2mathml
 
 
 def inline(translator: Any, node: nodes.math) -> None:
-    """A formula in a line."""
+    """An inline formula."""
     translator.body.append(latex2mathml.tex2mathml(node.astext()))
     raise nodes.SkipNode
 
 
 def block(translator: Any, node: nodes.math_block) -> None:
-    """A formula of its own."""
+    """A displayed formula."""
     translator.body.append(translator.starttag(node, "div", CLASS="formula"))
     translator.body.append(latex2mathml.tex2mathml(node.astext().strip(), True))
     translator.body.append("</div>\n")

@@ -8,7 +8,7 @@ from sphinx.writers.html5 import HTML5Translator
 
 
 class Translator(HTML5Translator):
-    """Sphinx's own, which puts a column's title into each cell but the first of its rows."""
+    """Sphinx's translator, which also puts a column's title into each cell except for the first of a row."""
 
     def visit_entry(self, node: nodes.entry) -> None:
         """Begin a cell."""
@@ -19,7 +19,7 @@ class Translator(HTML5Translator):
 
 
 def _title(cell: nodes.entry) -> str:
-    """Title of a cell's column; empty of a first or empty cell, of a title and where the table has none."""
+    """Title of a cell's column; empty for a first or empty cell, a title, and a table without titles."""
     row, group = cell.parent, cell.parent.parent.parent
     head = group.next_node(nodes.thead)
     column = row.index(cell)

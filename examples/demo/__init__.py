@@ -1,1 +1,1 @@
-"""The main job on a simulated joint, end to end."""
+"""The whole work flow on a simulated joint."""

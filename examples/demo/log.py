@@ -1,4 +1,4 @@
-"""What the demo's log holds, read back with types by rosbags and counted by this package's own reader."""
+"""The demo's log, read back with types by rosbags and counted by this package's own reader."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hd_diag.bag import BagReader
 
 
 class Log(NamedTuple):
-    """Types and numbers of messages by topic, what the node published by topic, and what is wrong."""
+    """Types and numbers of messages by topic, messages that the node published by topic, and problems."""
 
     types: dict[str, str]
     counts: Counter[str]
@@ -36,6 +36,6 @@ def read_log(folder: Path) -> Log:
             log.problems.extend(own.problems)
             if own.message_count != log.counts.total():
                 log.problems.append(f"rosbags and hd_diag count different messages in {folder.name}")
-    except Exception as error:  # whatever a reader raises, it is the finding
+    except Exception as error:  # any exception of a reader is the finding
         log.problems.append(f"{folder.name} cannot be read: {' '.join(str(error).split())}")
     return log

@@ -1,4 +1,4 @@
-"""The demo's own ROS node: listens to the diagnostics and sets parameters of the node under show."""
+"""The demo's own ROS node: listens to the diagnostics and sets parameters of the node shown."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hd_diag.watch.listener import Listener
 from hd_diag.watch.state import JointView, Watch
 
 ANSWER_LIMIT = 10.0
-"""For a parameter to be answered, and to show in the diagnostics [s]."""
+"""Longest wait for the answer to a parameter, and for its effect in the diagnostics [s]."""
 
 _STEP = 0.1  # longest sleep between looks at signals [s]
 
@@ -33,13 +33,13 @@ class Observer(Listener):
         return bool(self._client.services_are_ready() and views and views[0].number("samples") > 0.0)
 
     def wait(self, seconds: float) -> None:
-        """Sleep until something comes, at most for so long [s]; KeyboardInterrupt where a signal has come."""
+        """Sleep until something comes, at most for so long [s]; KeyboardInterrupt if a signal has come."""
         if self._stopped:
             raise KeyboardInterrupt
         super().wait(min(seconds, _STEP))
 
     def reports(self, seconds: float) -> Iterator[JointView]:
-        """What the joint's diagnostics say during the next seconds."""
+        """Reports of the joint's diagnostics during the next seconds."""
         end = time.monotonic() + seconds
         while (remaining := end - time.monotonic()) > 0.0:
             before = self._state.messages
@@ -48,7 +48,7 @@ class Observer(Listener):
                 yield from self._state.view(time.monotonic())
 
     def set_parameter(self, name: str, value: float | int) -> str:
-        """Why the node refuses a value of a parameter; empty where it is in force."""
+        """Set a parameter; return why the node refuses the value, empty if it is in force."""
         future = self._client.set_parameters_atomically([Parameter(name, value=value)])
         end = time.monotonic() + ANSWER_LIMIT
         while not future.done():

@@ -20,7 +20,7 @@ class DemoError(RuntimeError):
 
 
 class Child(subprocess.Popen[bytes]):
-    """A process of Python in a group of its own: Ctrl-C reaches it by its owner only.
+    """A Python process in a process group of its own: Ctrl-C reaches it only through its owner.
 
     What it prints goes to the file `output`; after SIGINT it has `end_limit` [s] before it is killed. It runs
     in that file's folder: in a source tree `python -m` would import the tree, not the installed package.
@@ -44,7 +44,7 @@ class Child(subprocess.Popen[bytes]):
 
     @property
     def lines(self) -> list[str]:
-        """What it has printed."""
+        """Lines that the process has printed."""
         return self._output.read_text(encoding="utf-8", errors="replace").splitlines()
 
     def check_running(self) -> None:
@@ -55,9 +55,9 @@ class Child(subprocess.Popen[bytes]):
             raise DemoError(f"{self._name} ended early with code {code}: {words} (all of it: {self._output})")
 
     def finish(self, limit: float, stopped: Sequence[int]) -> int:
-        """Exit code once it ends by itself, or by force after a time [s].
+        """Wait for the process to end, or end it after a time [s]; return its exit code.
 
-        Where a signal has come, as `stopped` shows, KeyboardInterrupt is raised.
+        Raises KeyboardInterrupt if `stopped` holds a signal.
         """
         end = time.monotonic() + limit
         while self.poll() is None and time.monotonic() < end:
@@ -67,7 +67,7 @@ class Child(subprocess.Popen[bytes]):
         return self.end()
 
     def end(self) -> int:
-        """End it by SIGINT, by force if that does nothing; its exit code, negative after a signal."""
+        """End it by SIGINT, or by force if that fails; return its exit code, negative after a signal."""
         try:
             if self.poll() is None:
                 self.send_signal(signal.SIGINT)

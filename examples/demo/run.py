@@ -1,4 +1,4 @@
-"""The main job end to end: the real node beside a simulated joint, over DDS, its log, replay and verdict."""
+"""The whole work flow: the real node with a simulated joint over DDS, its log, replay and verdict."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ from hd_diag.ros.stop_signals import noted_signals
 __all__ = ["DemoError", "run"]
 
 ECCENTRICITIES = (0.0, 5.0, 10.0, 18.0, 23.0)
-"""What the node's model is given, one after the other [µm]."""
+"""Eccentricities set in the node's model, one after the other [µm]."""
 
 TRUE_ECCENTRICITY = 18.0
-"""Of the simulated joint [µm]."""
+"""Eccentricity of the simulated joint [µm]."""
 
 _JOINT = "joint_1"
 _NODE = "hd_diag"
@@ -41,9 +41,9 @@ _MAGNITUDE = f"{_JOINT}.eccentricity.magnitude"
 _REFUSED = (f"{_JOINT}.circular_spline_teeth", 203)  # an odd difference: no ellipse can mesh there
 _RATE = 250.0  # of the joint [Hz]: leaves a slow machine time for the rest
 _REPORTS = 4.0  # diagnostics per second [Hz]
-_START_LIMIT = 300.0  # for the processes to start, which a busy machine can make long [s]
-_MAP_LIMIT = 30.0  # for the map of an eccentricity, which a busy machine builds late [s]
-_DISCOVERY_LIMIT = 20.0  # for them to be discovered over DDS and the first samples to arrive [s]
+_START_LIMIT = 300.0  # for the processes to start, even on a busy machine [s]
+_MAP_LIMIT = 30.0  # for the map of an eccentricity, even on a busy machine [s]
+_DISCOVERY_LIMIT = 20.0  # for their discovery over DDS and the first samples [s]
 _LINE_PERIOD = 1.0  # between lines that show a report [s]
 _VERB_LIMIT = 300.0  # for a verb of the command line to end, on a busy machine [s]
 _DEAF = (
@@ -58,15 +58,15 @@ def run(folder: Path | None, seconds: float) -> dict[str, Any]:
     Parameters
     ----------
     folder : Path or None
-        Where parameter files, log and outputs of the processes are left; a new one without.
+        Folder for parameter files, log and outputs of the processes; None makes a new one.
     seconds : float
-        How long the eccentricity is changed [s]; start and end come on top.
+        Duration of the changes of the eccentricity [s], without start and end.
 
     Returns
     -------
     dict
         Schema ``hd_diag/demo/1``; ``complete`` is True if everything held, ``missing`` says what did not,
-        ``signal`` which one has interrupted it.
+        ``signal`` is the one that has interrupted the demo.
 
     Raises
     ------
@@ -119,9 +119,9 @@ def run(folder: Path | None, seconds: float) -> dict[str, Any]:
 
 
 def _prepared(folder: Path | None) -> Path:
-    """The folder, and an environment in which this process and its children see none but each other.
+    """Make the folder, and an environment in which this process and its children see only each other.
 
-    What the user has chosen of the environment stays.
+    A ROS domain and a discovery range that the user has chosen stay.
     """
     try:
         if folder is None:
@@ -140,7 +140,7 @@ def _prepared(folder: Path | None) -> Path:
 
 @contextlib.contextmanager
 def _processes(folder: Path, seconds: float) -> Iterator[tuple[Child, Child]]:
-    """Node and joint, running; whatever happens, both have ended afterwards."""
+    """Run node and joint; both have ended afterwards in any case."""
     node, joint = folder / "node.yaml", folder / "joint.yaml"
     of_node = {
         "joints": [_JOINT],
@@ -169,7 +169,7 @@ def _observing(stopped: Sequence[int]) -> Iterator[Observer]:
 
 
 def _connect(observer: Observer, children: Sequence[Child]) -> None:
-    """Wait until both processes run and everybody has found everybody."""
+    """Wait until both processes run and have discovered each other."""
     has_started = False
     deadline = time.monotonic() + _START_LIMIT
     while not observer.is_connected():
@@ -202,12 +202,12 @@ def _change_eccentricity(
         _say(f"set {_MAGNITUDE} = {eccentricity:g} µm: in force")
         steps.append(Step(eccentricity))
         end = begin + seconds * number / len(ECCENTRICITIES)
-        last = time.monotonic() + _MAP_LIMIT  # what each step's residual needs is waited for
+        last = time.monotonic() + _MAP_LIMIT  # wait for the map, which the residual needs
         for report in observer.reports(max(end, last) - time.monotonic()):
             if steps[-1].take(report) and time.monotonic() >= shown:
                 shown = time.monotonic() + _LINE_PERIOD
                 _say(table([Step(eccentricity, [report])])[-1])
-            # In the window of one report the joint may stand, and its residual be noise at any eccentricity.
+            # In the window of one report the joint may stand still: its residual is then only noise.
             if len(steps[-1].residuals) > 1 and time.monotonic() >= end:
                 break
         for child in children:
@@ -215,7 +215,7 @@ def _change_eccentricity(
 
 
 def _published(joint: Child) -> int:
-    """Number of messages that the joint says it has published; -1 where it says nothing."""
+    """Number of messages that the joint says it has published; -1 if it says nothing."""
     try:
         return int(json.loads(joint.lines[-1])["published"])
     except (IndexError, KeyError, TypeError, ValueError):
@@ -232,7 +232,7 @@ def _wait_for_samples(observer: Observer, number: int) -> None:
 def _missing(
     steps: Sequence[Step], refusals: Sequence[str], codes: Mapping[str, int], published: int, log: Log
 ) -> list[str]:
-    """What did not hold, one line each."""
+    """Expectations that did not hold, one line each."""
     found = [f"the {name} ended with code {code}" for name, code in codes.items() if code != 0]
     shown = [step for step in steps if step.reports]
     if len(shown) < len(ECCENTRICITIES):
@@ -256,7 +256,7 @@ def _missing(
 def _replay_and_diagnose(
     folder: Path, log: Log, missing: list[str], stopped: Sequence[int]
 ) -> tuple[int, str]:
-    """Messages of the log's replay and the verdict on it; what does not hold goes to `missing`."""
+    """Number of messages in the log's replay, and the verdict on the log; failures go to `missing`."""
 
     def ends_well(*arguments: object) -> bool:
         """Run a verb of the command line as a user would."""
@@ -309,7 +309,7 @@ def _conclude(summary: Mapping[str, Any]) -> None:
 
 
 def _command() -> str:
-    """How the command is called: by its path where it is below this folder, as in an environment of make."""
+    """Name of the command: its path if that is below the working directory, as in an environment of make."""
     place, here = Path(sys.argv[0]).absolute(), Path.cwd()
     is_below = place.name == "hd-diag" and place.is_relative_to(here)
     return str(place.relative_to(here)) if is_below else "hd-diag"

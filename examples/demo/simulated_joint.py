@@ -36,7 +36,7 @@ _LONGEST_SLEEP = 0.05  # between looks at signals [s]
 def _publish(
     publisher: Publisher, joint: JointConfig, samples: Samples, rate: float, stopped: Sequence[int]
 ) -> int:
-    """Publish samples at a rate [Hz], stamped with the time of sending, until a signal comes; how many."""
+    """Publish samples at a rate [Hz], stamped with the time of sending, until a signal; return how many."""
     start, begin, sent = time.time_ns(), time.monotonic(), 0
     count = samples.stamp.size
     stamp = start + np.rint(np.arange(count) * (1e9 / rate)).astype(np.int64)
@@ -55,7 +55,7 @@ def _publish(
 
 
 def _wait_for_subscriber(publisher: Publisher, stopped: Sequence[int]) -> bool:
-    """Whether to go on: somebody listens, or the end is wanted."""
+    """Wait for a subscriber; True if there is one or a signal has come."""
     end = time.monotonic() + _WAIT
     while not publisher.get_subscription_count() and not stopped and time.monotonic() < end:
         time.sleep(0.01)

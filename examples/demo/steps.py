@@ -1,4 +1,4 @@
-"""The demo's steps: one eccentricity of the model each, and what the diagnostics said meanwhile."""
+"""The demo's steps: each has one eccentricity of the model, and the diagnostics of that time."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ class Step:
 
     @property
     def residuals(self) -> list[float]:
-        """Residuals of the reports [arcsec] once the map is in force, without which a busy node comes late.
+        """Residuals of the reports with the map in force [arcsec]; without the map a busy node is late.
 
-        The first is left out: its window reaches into the time before.
+        The first is left out: its window reaches back before the step.
         """
         settled = [report for report in self.reports if report.values.get("prediction") == "map"]
         values = [report.number("residual_rms_arcsec") for report in settled]
@@ -61,7 +61,7 @@ class Step:
         return statistics.mode(texts) if texts else None
 
     def summary(self) -> dict[str, Any]:
-        """Values by diagnostics key, nan or None where there is none."""
+        """Values by diagnostics key; nan or None if there is none."""
         numbers = {key: self.number(key) for key, _, _ in _COLUMNS} | {"eccentricity_um": self.eccentricity}
         return numbers | {key: self.text(key) for key in ("log_state", "fault_code")}
 

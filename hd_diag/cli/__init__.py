@@ -1,4 +1,4 @@
-"""The command line: one module a verb, listed in `verbs`."""
+"""The command line: one module per verb, listed in `verbs`."""
 
 from hd_diag.cli.verbs import cli, main
 

@@ -1,4 +1,4 @@
-"""``hd-diag replay`` and ``recover``: bags through the model, and what can be saved of unfinished ones."""
+"""``hd-diag replay`` and ``recover``: run the model over a bag, save the readable part of a damaged one."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def replay(
     overwrite: bool,
     json_file: str | None,
 ) -> int:
-    """Do what ``hd-diag replay`` is asked for."""
+    """Run ``hd-diag replay``."""
     config = configured(config_file) if config_file else None
     begin, kept, done = time.monotonic(), out.exists(), 0
     try:
@@ -79,7 +79,7 @@ def _tell_replay(result: Replay, out: Path, took: float) -> None:
 
 
 def recover(bag: Path, out: Path, overwrite: bool, json_file: str | None) -> None:
-    """Do what ``hd-diag recover`` is asked for."""
+    """Run ``hd-diag recover``."""
     kept = out.exists()
     try:
         with working() as part:

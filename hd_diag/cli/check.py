@@ -17,7 +17,7 @@ from hd_diag.model.cams import Points
 
 
 def check(config_file: str, json_file: str | None) -> None:
-    """Do what ``hd-diag check`` is asked for."""
+    """Run ``hd-diag check``."""
     config = configured(config_file)
     for joint in config.joints:
         check_fields(config_file, joint)
@@ -30,10 +30,10 @@ def check(config_file: str, json_file: str | None) -> None:
 
 
 def check_fields(config_file: str, joint: JointConfig) -> None:
-    """Refuse a file's signal if ROS 2 Jazzy's own type lacks its field; only bags know other types."""
+    """Raise a Problem if a signal's ROS 2 Jazzy type lacks its field; only bags know other types."""
     if not joint.mapped:
         return
-    from hd_diag.messages.field_path import path_in  # types of messages take their time, and most need none
+    from hd_diag.messages.field_path import path_in  # late: slow, and rarely needed
     from hd_diag.messages.schemas import jazzy
 
     for name, signal in joint.mapped.items():
@@ -45,7 +45,7 @@ def check_fields(config_file: str, joint: JointConfig) -> None:
 
 
 def describe(joint: JointConfig, assessed: Assessment) -> None:
-    """Print what a joint is."""
+    """Print a joint's signals and drive, and the drive's characteristics."""
     drive, found = joint.configured, assessed.found
     mesh = drive.mesh
     names = zip(joint.signals, (joint.input_joint, joint.output_joint), strict=False)

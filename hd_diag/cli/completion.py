@@ -1,4 +1,4 @@
-"""``hd-diag completion``: a shell's script that asks ``hd-diag`` itself what can come next."""
+"""``hd-diag completion``: a script by which a shell asks ``hd-diag`` itself for completions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _NAME = "hd-diag"
 
 @add_completion_class
 class _Bash(BashComplete):
-    """bash gives the "=" of ``--config=name`` as a word of its own, which click would take for the value."""
+    """bash passes the "=" of ``--config=name`` as a separate word, which click would take for the value."""
 
     def get_completion_args(self) -> tuple[list[str], str]:
         words, incomplete = super().get_completion_args()
@@ -34,7 +34,7 @@ class _Zsh(ZshComplete):
 
 @add_completion_class
 class _Fish(FishComplete):
-    """fish takes what begins with the whole of ``--config=name``."""
+    """fish accepts completions that begin with the whole word, ``--config=name``."""
 
     source_template = FishComplete.source_template.replace(
         "\n    end;\nend;\n",
@@ -45,8 +45,8 @@ class _Fish(FishComplete):
 
 
 def completion(shell: str) -> None:
-    """Do what ``hd-diag completion`` is asked for."""
+    """Run ``hd-diag completion``."""
     kind, group = get_completion_class(shell), click.get_current_context().find_root().command
-    assert kind is not None  # the option offers those that there are
-    # The variable is the one in which click looks for a request of this command's name.
+    assert kind is not None  # the option only takes known shells
+    # click looks for completion requests to this command in this variable.
     click.echo(kind(group, {}, _NAME, f"_{_NAME.replace('-', '_').upper()}_COMPLETE").source())

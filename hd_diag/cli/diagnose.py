@@ -1,4 +1,4 @@
-"""``hd-diag diagnose``, ``report`` and ``ripple``: what records of joints tell."""
+"""``hd-diag diagnose``, ``report`` and ``ripple``: judge records of joints."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def diagnose(
     report_file: Path | None,
     json_file: str | None,
 ) -> int:
-    """Do what ``hd-diag diagnose`` is asked for."""
+    """Run ``hd-diag diagnose``."""
     models = _model_files(model_file, records.joints)
     check_files((*models.values(), report_file, json_file))
     records = replace(records, orders_only=orders_only)
@@ -65,7 +65,7 @@ def diagnose(
 
 
 def _model_files(file: Path | None, joints: Sequence[JointConfig]) -> dict[str, Path]:
-    """Where each joint's model is written; with several joints each file has its joint's name in its own."""
+    """Path of each joint's model; with several joints the file name contains the joint's name."""
     if file is None:
         return {}
     if len(joints) == 1:
@@ -74,7 +74,7 @@ def _model_files(file: Path | None, joints: Sequence[JointConfig]) -> dict[str, 
 
 
 def model_document(found: Diagnosis, joint: str, records: Records) -> dict[str, Any]:
-    """What `hd-diag diagnose --model` writes of a diagnosis with a model."""
+    """Content that `hd-diag diagnose --model` writes for a diagnosis with a model."""
     assert found.model is not None
     assert found.found is not None
     own = of_joint(records.config.flat, joint)
@@ -100,7 +100,7 @@ def model_document(found: Diagnosis, joint: str, records: Records) -> dict[str, 
 
 @on_records
 def report(records: Records, out: Path | None, json_file: str | None) -> int:
-    """Do what ``hd-diag report`` is asked for."""
+    """Run ``hd-diag report``."""
     target = out or Path(f"{records.bags[0].stem}.html")
     check_files((target, json_file))
 
@@ -131,7 +131,7 @@ def report(records: Records, out: Path | None, json_file: str | None) -> int:
 
 @partial(on_records, teeth=False)
 def ripple(records: Records, json_file: str | None) -> int:
-    """Do what ``hd-diag ripple`` is asked for."""
+    """Run ``hd-diag ripple``."""
     from rich.table import Table
 
     tables: list[Table] = []

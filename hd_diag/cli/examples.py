@@ -13,7 +13,7 @@ from hd_diag.cli.targets import Problem
 
 
 def load_example(name: str) -> ModuleType:
-    """A module among the examples, such as ``demo.run``; a Problem where they were not installed."""
+    """A module among the examples, such as ``demo.run``; a Problem if they are not installed."""
     file = Path(*name.split(".")).with_suffix(".py")
     place = installed("examples", str(file))
     sys.path.insert(0, str(place.parents[len(file.parts) - 1]))
@@ -21,7 +21,7 @@ def load_example(name: str) -> ModuleType:
 
 
 def installed(folder: str, file: str) -> Path:
-    """A file of a folder; a Problem where it was not installed."""
+    """A file of a folder; a Problem if it is not installed."""
     package = Path(hd_diag.__file__).parent
     prefixes = [*package.parents, *map(Path, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))]
     places = [package.parent / folder, *(prefix / "share/hd_diag" / folder for prefix in prefixes)]

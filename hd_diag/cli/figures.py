@@ -28,7 +28,7 @@ def figures(
     eccentricities_um: str | None,
     direction_deg: float | None,
 ) -> None:
-    """Do what ``hd-diag figures`` is asked for."""
+    """Run ``hd-diag figures``."""
     joint = configured(config_file).joints[0]
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -64,7 +64,7 @@ def figures(
 
 
 def _asked(torque: float | None, sizes_um: str | None, direction_deg: float | None) -> dict[str, Any]:
-    """What is to be drawn, as far as it was asked for."""
+    """Fields of the study that the options set."""
     found: dict[str, Any] = {}
     if sizes_um is not None:
         try:

@@ -42,7 +42,7 @@ _ERRORS_SHOWN = 20
 
 
 def fleet(bags: tuple[Path, ...], config_file: str | None, names: tuple[str, ...], **given: Any) -> int:
-    """Do what ``hd-diag fleet`` is asked for."""
+    """Run ``hd-diag fleet``."""
     config = configured(config_file)
     joints = tuple(chosen_joints(config, names))
     try:
@@ -60,7 +60,7 @@ def fleet(bags: tuple[Path, ...], config_file: str | None, names: tuple[str, ...
 def _fleet(
     bags: tuple[Path, ...], config: Any, joints: tuple[JointConfig, ...], given: dict[str, Any]
 ) -> Fleet:
-    """What is to be done, checked as far as it can be before hours of work."""
+    """Bags, joints and robots of the run, checked as far as possible before hours of work."""
     missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
     if missing:
         get = f"{sys.executable} -m pip install 'hd_diag[fleet]'"
@@ -135,7 +135,7 @@ def _run(
 
 @contextlib.contextmanager
 def _watched() -> Iterator[tuple[Progress, Callable[[], None]]]:
-    """What shows the progress of a run, and what ends it after Ctrl-C."""
+    """Functions that show the progress of a run, and that end it after Ctrl-C."""
     with showing() as part, noted_signals() as came:
         stages: dict[str, Advance] = {}
 
@@ -175,7 +175,7 @@ def _write(found: Health, given: dict[str, Any]) -> None:
 
 
 def _made(given: dict[str, Any]) -> list[Fact]:
-    """What a page says of its making."""
+    """Facts on the making of a page."""
     when = datetime.now(timezone.utc).isoformat(" ", "minutes").removesuffix("+00:00")
     limits = ", ".join(given["limits"]) or "accuracy and tolerance of the configuration"
     return [Fact("Written", f"{when} UTC"), Fact("Table", str(given["out"])), Fact("Limits", limits)]

@@ -16,9 +16,9 @@ from hd_diag.config.configuration import Config, JointConfig, resolve
 from hd_diag.gears.catalogue import named
 
 _ARCMIN = math.pi / 10800.0  # [rad]
-_PARAMETERS = {"accuracy": "accuracy", "output": "output"}  # the others are of the page
+_PARAMETERS = {"accuracy": "accuracy", "output": "output"}  # the other options belong to the page
 _IN_ARCMIN = ("accuracy", "gear.lost_motion")
-# Pages name the ratio with the circular spline fixed; these are on them.
+# Usual ratios on pages, where the circular spline is fixed.
 _USUAL = (30, 50, 80, 100, 120, 160)
 
 
@@ -31,7 +31,7 @@ def gear(
     json_file: str | None,
     **given: Any,
 ) -> None:
-    """Do what ``hd-diag gear`` is asked for."""
+    """Run ``hd-diag gear``."""
     if out and not overwrite:
         check_new(out)
     own = {_PARAMETERS.get(key, f"gear.{key}"): value for key, value in given.items() if value is not None}
@@ -48,7 +48,7 @@ def gear(
         with writing(out) as place:
             place.write_text(gear_file.text(config, found, assessed, " ".join(words)), encoding="utf-8")
     if figure:
-        from hd_diag.report.pictures.canvas import save  # matplotlib takes its time
+        from hd_diag.report.pictures.canvas import save  # late: matplotlib takes its time
 
         drawn = load_example("tooth_pair").tooth_pair_picture(found.configured.mesh.geometry)
         with writing(figure) as place:
@@ -60,7 +60,7 @@ def gear(
 
 
 def _of_name(name: str | None, output: str) -> dict[str, Any]:
-    """Parameters of a gear of the table; its ratio is that with a fixed circular spline."""
+    """Parameters of a gear of the table, which gives the ratio with a fixed circular spline."""
     if not name:
         return {}
     try:
@@ -78,7 +78,7 @@ def _resolved(joint: str, own: dict[str, Any]) -> Config:
 
 
 def _options(given: dict[str, Any]) -> list[str]:
-    """The options that give the same file again, without where it is written to."""
+    """The options that reproduce the file, without its path."""
     return [
         f"--{key.replace('_', '-')} {value if isinstance(value, str) else f'{value:.6g}'}"
         for key, value in given.items()
@@ -95,7 +95,7 @@ def _show(joint: JointConfig, assessed: Assessment) -> None:
 
 
 def _usual_ratio(joint: JointConfig) -> str:
-    """Advice if the ratio is off by one from those that pages name; empty otherwise."""
+    """Advice if the ratio differs by one from a usual one on pages; empty otherwise."""
     geometry, kinematics = joint.configured.mesh.geometry, joint.configured.kinematics
     teeth = f"{geometry.flexspline_teeth}/{geometry.circular_spline_teeth} teeth"
     ratio = round(abs(kinematics.ratio))

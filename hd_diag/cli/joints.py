@@ -1,4 +1,4 @@
-"""The configuration that a verb was given, and the joints of it that were asked for."""
+"""The configuration that a verb was given, and the joints chosen from it."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
 
 def configured(config_file: str | None, catalogue: Catalogue | None = None, teeth: bool = True) -> Config:
-    """The configuration of a file, or the example drive's; its model files hold effects of the catalogue.
+    """The configuration of a file, or the example drive's; `catalogue` has the effects of its model files.
 
-    Without `teeth` a ratio alone will do, of whatever gear.
+    Without `teeth` a ratio alone suffices, for any gear.
     """
     if not config_file:
         return resolve({}, catalogue=catalogue, teeth=teeth)
@@ -27,7 +27,7 @@ def configured(config_file: str | None, catalogue: Catalogue | None = None, teet
 
 
 def tell_assumed(config_file: str | None, config: Config) -> None:
-    """Say which drive a record was compared with where no file said it."""
+    """Say which drive a record was compared with if no file was given."""
     if not config_file:
         (joint,) = config.joints
         drive = f"ratio {joint.drive.frame.ratio:g}, rated torque {joint.drive.rated_torque:g} N m"

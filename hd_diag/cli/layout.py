@@ -30,7 +30,7 @@ Words = Callable[[str], str]
 
 
 def layout(out: Path, config_file: str | None, node: str) -> None:
-    """Do what ``hd-diag layout`` is asked for."""
+    """Run ``hd-diag layout``."""
     joints = configured(config_file).joints
     if not _NAME.fullmatch(node):
         raise Problem(f"--node: expected the node's full name, such as /arm/hd_diag, not {node!a}")
@@ -51,7 +51,7 @@ def layout(out: Path, config_file: str | None, node: str) -> None:
 
 
 def foxglove(template: str, words: Mapping[str, Words]) -> str:
-    """The layout for some joints, a tab each, by functions that translate texts of the template."""
+    """The layout with a tab for each joint; `words` has a translation of the template's texts per joint."""
     panels: dict[str, Any] = {}
     tabs: list[Any] = []
     whole = json.loads(template)
@@ -114,7 +114,7 @@ def _of_joint(joint: JointConfig, place: int, node: str, text: str) -> str:
 
 
 def _mapped(value: Any, words: Words) -> Any:
-    """A document with other texts."""
+    """A document with all texts translated."""
     if isinstance(value, dict):
         return {words(name): _mapped(each, words) for name, each in value.items()}
     if isinstance(value, list):

@@ -41,7 +41,7 @@ def show(text: str, *, err: bool = False) -> None:
 
 
 def discard_output(stream: TextIO) -> None:
-    """Send what a stream has still to print to /dev/null."""
+    """Send the remaining output of a stream to /dev/null."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
@@ -62,6 +62,6 @@ def show_table(table: Table) -> None:
     console = Console(width=None if sys.stdout.isatty() else _WIDEST, highlight=False, markup=False)
     wide = console.options.update(max_width=_WIDEST)
     console.width = max(console.width, console.measure(table, options=wide).minimum)
-    with console.capture() as text:  # rich would end the program, with 1, where nobody reads
+    with console.capture() as text:  # rich would exit with 1 if nobody reads
         console.print(table)
     show(text.get())

@@ -22,8 +22,8 @@ from hd_diag.formatting import ARCSEC, json_ready
 from hd_diag.gears.page import ASSUMED_PROFILE
 from hd_diag.streams.columns import LARGEST_ANGLE, LARGEST_TORQUE
 
-_PER_SLOT = 8  # angles of a sweep in a slot pitch
-_TORQUES, _MOST_TORQUE = 401, 2.0  # of a sweep: how many, and the largest over the rated one [-]
+_PER_SLOT = 8  # angles of a sweep per slot pitch
+_TORQUES, _MOST_TORQUE = 401, 2.0  # of a sweep: number, largest over rated torque [-]
 
 
 def mesh(
@@ -40,7 +40,7 @@ def mesh(
     figure: Path | None,
     json_file: str | None,
 ) -> None:
-    """Do what ``hd-diag mesh`` is asked for."""
+    """Run ``hd-diag mesh``."""
     given = ("input-angle", input_angle, LARGEST_ANGLE), ("torque", torque, LARGEST_TORQUE)
     for name, value, largest in given:
         if not abs(value) <= largest:
@@ -59,7 +59,7 @@ def mesh(
     if out:
         write_columns(out, table)
     if figure:
-        from hd_diag.report.pictures.canvas import save  # matplotlib takes its time
+        from hd_diag.report.pictures.canvas import save  # late: matplotlib takes its time
         from hd_diag.report.pictures.moment import table_picture
 
         with writing(figure) as place:
@@ -74,7 +74,7 @@ def mesh(
 
 
 def _eccentric(drive: Drive, size: float | None, direction: float | None) -> Drive:
-    """The drive with an eccentricity [µm] in a direction [°]; where one is not given, the configured."""
+    """The drive with an eccentricity [µm] in a direction [°]; None stands for the configured value."""
     if size is None and direction is None:
         return drive
     given = cmath.polar(drive.mesh.eccentricity)
@@ -89,7 +89,7 @@ def _eccentric(drive: Drive, size: float | None, direction: float | None) -> Dri
 
 
 def _tilted(drive: Drive, size: float | None, direction: float | None) -> Drive:
-    """The drive with a tilt [mrad] in a direction [°], else in that of the configured one."""
+    """The drive with a tilt [mrad] in a direction [°], by default that of the configured tilt."""
     if size is None:
         return drive
     angle = cmath.phase(drive.mesh.tilt) if direction is None else math.radians(direction)
@@ -112,9 +112,9 @@ def _in_section(result: dict[str, Any], number: int) -> dict[str, Any]:
 
 
 def swept(drive: Drive, over: str, input_angle: float, torque: float) -> dict[str, Floats]:
-    """Columns of a sweep by their names with units, the quantities that `moment` gives.
+    """Columns of a sweep by their names with units: the quantities of `moment`.
 
-    Over a turn of the wave generator from an input angle [rad], or over torques [N m] there.
+    The sweep is over a turn of the wave generator from `input_angle` [rad], or over torques [N m] there.
     """
     if over == "angle":
         turn = 2.0 * np.pi / abs(drive.frame.turning)
@@ -152,7 +152,7 @@ def _teeth(result: dict[str, Any]) -> dict[str, Floats]:
 
 
 def moment(joint: JointConfig, input_angle: float, torque: float) -> dict[str, Any]:
-    """What `hd-diag mesh --json` writes of a moment: input angle as reported [rad], torque [N m]."""
+    """Content of `hd-diag mesh --json` for a reported input angle [rad] and a torque [N m]."""
     drive = joint.drive
     angle, load = np.array([input_angle]), np.array([torque])
     state = mesh_state(drive, angle, load)

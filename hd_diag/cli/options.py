@@ -27,16 +27,16 @@ class Source(click.Path):
 
 
 class Target(click.Path):
-    """A file that a verb writes; of a known kind it must have one of these endings."""
+    """A file that a verb writes; its name must have one of the `endings`, if there are any."""
 
     def __init__(self, *endings: str, folders: bool = False, stdout: bool = False) -> None:
         super().__init__(dir_okay=folders, allow_dash=stdout, path_type=str if stdout else Path)
         self._endings = endings
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The path, or a Problem where its name is not that of such a file."""
+        """The path, or a Problem if its name has another ending."""
         path = Path(value)
-        is_special = path.exists() and not path.is_file()  # a device or a pipe, whose name says nothing
+        is_special = path.exists() and not path.is_file()  # for a device or a pipe the ending says nothing
         if self._endings and path.suffix.lower() not in self._endings and not is_special:
             raise Problem(f"{value}: the name must end with {' or '.join(self._endings)}")
         return super().convert(value, param, ctx)
@@ -49,7 +49,7 @@ class BagTarget(Target):
         super().__init__(folders=True)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The path, or a Problem where nobody would look for a bag there."""
+        """The path, or a Problem if its name is not that of a bag."""
         suffix = Path(value).suffix.lower()
         if suffix != ".mcap" and suffix[1:].isalnum() and suffix[1:2].isalpha() and not Path(value).is_dir():
             raise Problem(f"{value}: a bag is a file *.mcap, or a folder whose name has no ending")
@@ -71,11 +71,11 @@ def verb(example: str, module: str = "", **settings: Any) -> Callable[[Callable[
         def run(**given: Any) -> Any:
             check_files()
             function = getattr(import_module(f"hd_diag.cli.{module or name}"), name)
-            gc.freeze()  # what the imports made stays
+            gc.freeze()  # objects of imports stay
             gc.enable()
             try:
                 with warnings.catch_warnings():
-                    if not sys.warnoptions:  # numpy's say nothing to users: nan is told by what it is for
+                    if not sys.warnoptions:  # numpy's warnings do not help users, who see nan
                         warnings.simplefilter("ignore", RuntimeWarning)
                     return function(**given)
             except ValueError as error:
@@ -102,7 +102,7 @@ def check_files(targets: Iterable[str | Path | None] | None = None, inputs: Iter
 
 
 def _paths(context: click.Context, kind: type[click.Path]) -> list[Path]:
-    """Paths of this kind that were given."""
+    """The given paths of this kind."""
     values = [context.params[p.name] for p in context.command.params if isinstance(p.type, kind) and p.name]
     flat = [one for value in values for one in (value if isinstance(value, tuple) else (value,))]
     return [Path(one) for one in flat if one not in (None, "-")]
@@ -141,13 +141,13 @@ def numbers(rows: Iterable[tuple[str, click.ParamType[Any], str]]) -> Callable[[
 
 
 def json_option(what: str) -> Callable[[_Command], _Command]:
-    """Option ``--json`` for a verb that writes this there."""
+    """Option ``--json``; `what` names the content."""
     kind = Target(stdout=True)
     return click.option("--json", "json_file", type=kind, help=f"Write {what} here; - is stdout.")
 
 
 def figure_option(what: str) -> Callable[[_Command], _Command]:
-    """Option ``--figure`` for a verb that draws this."""
+    """Option ``--figure``; `what` names the drawing."""
     text = f"Draw {what}: *.png, *.svg or *.pdf."
     return click.option("--figure", type=Target(".png", ".svg", ".pdf"), help=text)
 
@@ -213,7 +213,7 @@ records = together(
         help="Python file with further effects, as EFFECT or EFFECTS; repeatable. The file is executed.",
     ),
 )
-"""Which records a verb looks at."""
+"""Options that choose a verb's records."""
 
 
 @contextmanager

@@ -1,6 +1,6 @@
-"""Long work: how far it is and how long it still takes, and Ctrl-C where the work can end.
+"""Progress and remaining time of long work, and Ctrl-C at points where the work can end.
 
-A bar on a terminal; in a pipe a line on stderr every 10 s, none of work that ends before.
+A terminal shows a bar; in a pipe stderr gets a line every 10 s, none for shorter work.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from hd_diag.bag import BagReader
 from hd_diag.cli.lines import tell
 from hd_diag.ros.stop_signals import Stopped, noted_signals, signalled
 
-_PERIOD = 10.0  # of lines in a pipe [s]
+_PERIOD = 10.0  # between lines in a pipe [s]
 
 
 Advance = Callable[..., None]
-"""Called with what is done, of what in all (0: not known), and as a third, what is being done now."""
+"""Called with the work done, the total work (0: not known) and, as a third, the present step."""
 
 Part = Callable[..., Advance]
-"""Begins a part of the work by its name and, where it is not shown in per cent, the unit it is counted in."""
+"""Begins a part of the work, given its name and its unit; without a unit it is shown in per cent."""
 
 
 class _Work:
-    """A part of the work, named in words; its clock begins when it is first heard of."""
+    """A part of the work, named in words; its clock starts with the first `advance`."""
 
     def __init__(self, what: str, unit: str) -> None:
         self._what, self._unit, self._note = what, unit, ""
@@ -93,7 +93,7 @@ def showing(came: Sequence[int] = ()) -> Iterator[Part]:
 
 @contextmanager
 def working() -> Iterator[Part]:
-    """The same, for work that a signal ends at the next call of an `Advance`."""
+    """As `showing`, for work that a signal ends at the next call of an `Advance`."""
     with noted_signals() as came, showing(came) as part:
         yield part
 
@@ -104,7 +104,7 @@ def _on_terminal() -> bool:
 
 @contextmanager
 def _lines() -> Iterator[Callable[[_Work], None]]:
-    """Shows work as a line now and then."""
+    """Shows work as a line every `_PERIOD`."""
     latest: list[_Work] = []
     ended = threading.Event()
 
@@ -126,7 +126,7 @@ def _lines() -> Iterator[Callable[[_Work], None]]:
 
 @contextmanager
 def _bars() -> Iterator[Callable[[_Work], None]]:
-    """Shows work as bars on a terminal, which are gone when it is done."""
+    """Shows work as bars on a terminal, and removes them at the end."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskID, TextColumn
 
@@ -147,11 +147,11 @@ def _bars() -> Iterator[Callable[[_Work], None]]:
 
             yield show
     finally:
-        console.show_cursor()  # a signal may come before the bars are there, when the cursor is not
+        console.show_cursor()  # a signal may come when the cursor is hidden already, before the bars
 
 
 def interrupted(error: KeyboardInterrupt, out: Path, kept: bool, content: str = "") -> NoReturn:
-    """End after a signal with a line on what `out` holds; `kept` where it was there before, and still is."""
+    """Exit after a signal with a line on what `out` holds; `kept`: it existed before and is unchanged."""
     left = f"nothing was written, {out} is as it was" if kept else "nothing was written"
     if out.exists() and not kept:
         if not content:

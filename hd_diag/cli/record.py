@@ -35,14 +35,14 @@ from hd_diag.report.facts import JointReport, sources
 from hd_diag.tolerance.study import with_allowed
 
 PREPARING = "preparing the model (a minute, the first time on a machine)"
-"""What is said while kernels are compiled."""
+"""Message while kernels are compiled."""
 
 _DELIMITERS = {"tab": "\t", "space": WHITE}
 
 
 @dataclass(frozen=True)
 class Records:
-    """Records that a verb was given: files, the joints asked for, and the effects to search among."""
+    """Records that a verb was given: files, chosen joints, and the effects to search among."""
 
     bags: tuple[Path, ...]
     config: Config
@@ -53,22 +53,22 @@ class Records:
     orders_only: bool = False
 
     def diagnosed(self, joint: JointConfig, advance: Advance) -> Diagnosis:
-        """Diagnosis of a joint; BagError and RecordError where there is nothing that can be judged."""
+        """Diagnosis of a joint; BagError or RecordError if nothing can be judged."""
         advance(0, 0, "reading")
-        # No name for the record: it goes as soon as it was looked through.
+        # The record has no name, so that its memory is freed after screening.
         looked = screened(self._record(joint), joint.configured)
         rng = np.random.default_rng(0)
         if self.orders_only:
             return orders_only(looked, joint.configured, rng)
         advance(0, 0, PREPARING)
-        warm_up()  # compiling takes nothing from the time limit
+        warm_up()  # compiling does not count towards the time limit
         give_back()
         work = Work(self.time_limit, lambda share, text: advance(share, 1.0, text))
         found = diagnose(looked, joint.configured, rng, work, self.catalogue)
         return with_allowed(found, self.config.flat, joint.name)
 
     def motion(self, joint: JointConfig) -> InputRecord:
-        """A joint's motion and torque, by two angles or one; RecordError where there is none."""
+        """A joint's motion and torque, from two angles or one; RecordError if there is none."""
         if self.table is None:
             found = read_motion(self.bags, joint)
         else:
@@ -78,7 +78,7 @@ class Records:
         return found
 
     def ripple(self, joint: JointConfig, motion: InputRecord) -> Ripple:
-        """Lines of a joint's torque over a motion; RecordError where there is nothing that can be judged."""
+        """Lines of a joint's torque over a motion; RecordError if nothing can be judged."""
         columns = motion.time, motion.input_angle, motion.torque, motion.bag
         try:
             if motion.no_torque:
@@ -94,7 +94,7 @@ class Records:
 
 
 def table_of(columns: str, divided: bool, rate: float, delimiter: str) -> Table:
-    """How CSV files are read, from the options."""
+    """How to read CSV files, from the options."""
     pairs = [item.split("=", 1) for item in columns.split(",")]
     if any(len(pair) != 2 for pair in pairs):
         raise Problem("--columns takes pairs like time=t,input=motor_position[deg],output=joint_position")
@@ -107,7 +107,7 @@ def table_of(columns: str, divided: bool, rate: float, delimiter: str) -> Table:
 
 
 def on_records(function: Callable[..., int], teeth: bool = True) -> Callable[..., int]:
-    """A verb's function that gets the options that say which records as :class:`Records`.
+    """Wrap a verb's function, which then gets the options on records as :class:`Records`.
 
     Without `teeth`, and for orders only, the configured ratio need not be that of the configured teeth.
     """
@@ -150,13 +150,13 @@ Judged = tuple[dict[str, Any], list[str], JointReport | None]
 def judge_each(
     records: Records, judge: Callable[[JointConfig], Judged], page_file: Path | None, json_file: str | None
 ) -> tuple[list[dict[str, Any]], int]:
-    """Judge all joints; show the lines, write page and JSON; the joints' JSON, and the exit code.
+    """Judge all joints; show the lines, write page and JSON; return the joints' JSON and the exit code.
 
-    A joint that cannot be judged is reported on stderr and in the JSON, and the others go on; the only one is
-    a Problem.
+    A joint that cannot be judged is reported on stderr and in the JSON, and the others go on; a single joint
+    is a Problem.
     """
     contents, pages, complete = [], [], True
-    # Now: a log's file may be gone once its joints are judged.
+    # Read now: a log's file may be gone once its joints are judged.
     files = [_span(bag, records.table is None) for bag in records.bags] if json_file else []
     for joint in records.joints:
         try:
@@ -173,7 +173,7 @@ def judge_each(
             tell(f"{joint.name}: {line}")
     written = page_file if pages else None
     if written is not None:
-        from hd_diag.report.page import page as drawn  # here, because matplotlib takes its time
+        from hd_diag.report.page import page as drawn  # late: matplotlib takes its time
 
         with writing(written) as place:
             place.write_text(drawn(pages, sources(records.bags)), encoding="utf-8")
@@ -194,5 +194,5 @@ def _span(path: Path, is_bag: bool) -> dict[str, Any]:
 
 
 def not_judged(joint: str, error: Exception) -> dict[str, Any]:
-    """JSON of a joint with a record that cannot be judged."""
+    """JSON of a joint whose record cannot be judged."""
     return {"schema": "hd_diag/not_judged/1", "joint": joint, "error": str(error)}

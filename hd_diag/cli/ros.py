@@ -1,4 +1,4 @@
-"""``hd-diag node`` and ``demo``: the ROS node, and the main job end to end on a simulated joint."""
+"""``hd-diag node`` and ``demo``: the ROS node, and the whole work flow on a simulated joint."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hd_diag.ros.stop_signals import SIGNALLED, note_signals
 
 
 def node(config_file: str | None, ros_arguments: tuple[str, ...]) -> int:
-    """Do what ``hd-diag node`` is asked for."""
+    """Run ``hd-diag node``."""
     if config_file:
         load(config_file)
     with needing_ros("the node"):
@@ -22,7 +22,7 @@ def node(config_file: str | None, ros_arguments: tuple[str, ...]) -> int:
 
 
 def demo(folder: str | None, seconds: float, json_file: str | None) -> int:
-    """Do what ``hd-diag demo`` is asked for."""
+    """Run ``hd-diag demo``."""
     with needing_ros("the demo"):
         demo_run = load_example("demo.run")
     try:

@@ -25,13 +25,13 @@ from hd_diag.simulation.motion import SECOND
 _TURN = 2.0 * math.pi
 _MOTION = Motion()
 
-_RATED = 56.0  # torque of the drive that the motion's own torques are meant for [N m]
+_RATED = 56.0  # rated torque of the drive for which a motion's default torques are meant [N m]
 
 
 def simulate(
     out: Path, config_file: str | None, names: tuple[str, ...], json_file: str | None, **given: Any
 ) -> None:
-    """Do what ``hd-diag simulate`` is asked for."""
+    """Run ``hd-diag simulate``."""
     kept = out.exists()
     try:
         config = _true_configuration(config_file, names, given)
@@ -88,7 +88,7 @@ def simulate(
 
 
 def _true_configuration(file: str | None, names: tuple[str, ...], given: dict[str, Any]) -> Config:
-    """Configuration of the simulated joints: a file's, changed by the options."""
+    """Configuration of the simulated joints, from a file and changed by the options."""
     flat: dict[str, Any] = {"joints": list(names) or ["joint_1"]}
     if file:
         config = configured(file)

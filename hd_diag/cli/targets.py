@@ -37,9 +37,9 @@ def check_targets(targets: Iterable[str | Path | None], *inputs: Path) -> None:
             raise Problem(f"{target}: cannot be written: no such folder")
         if not os.access(target if target.exists() else folder, os.W_OK):
             raise Problem(f"{target}: cannot be written: no permission, or a disk that is read-only")
-    there = [path for path in inputs if path.exists()]  # what does not exist is an error when it is read
+    there = [path for path in inputs if path.exists()]  # a missing file is an error when it is read
     if wanted and there:
-        from hd_diag.bag.errors import BagError, check_output  # the room of bags takes a moment
+        from hd_diag.bag.errors import BagError, check_output  # late: slow to import
 
         for target in wanted:
             try:

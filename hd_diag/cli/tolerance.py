@@ -41,7 +41,7 @@ from hd_diag.tolerance.study import (
 def tolerance(
     config_file: str | None, joint: str | None, json_file: str | None, figure: Path | None, **given: Any
 ) -> None:
-    """Do what ``hd-diag tolerance`` is asked for."""
+    """Run ``hd-diag tolerance``."""
     config = configured(config_file)
     chosen = chosen_joint(config, joint)
     try:
@@ -57,7 +57,7 @@ def tolerance(
     except ValueError as error:
         raise Problem(f"{chosen.name}: {error}") from error
     if figure:
-        from hd_diag.report.pictures.tolerance import save, tolerance_picture  # matplotlib takes its time
+        from hd_diag.report.pictures.tolerance import save, tolerance_picture  # late: matplotlib is slow
 
         with writing(figure) as place:
             save(tolerance_picture(found), place)
@@ -151,7 +151,7 @@ def _show_tilts(question: Question, tilts: Tilts) -> None:
 def _limit_table(
     question: Question, title: str, unit: str, most: float, row: list[tuple[limit.DisplacementLimit, float]]
 ) -> Table:
-    """Limits with what reaches them, in its unit, and the most that was looked at."""
+    """Table of limits; `row` has each limit and the displacement that reaches it, in `unit`, up to `most`."""
     columns = ("limit", "without", f"at\n{unit}", "direction\n[rad]", "\n[deg]", "input\n[rad]")
     table = number_table("criterion", *columns, title=title)
     for criterion, (each, reaches) in zip(CRITERIA, row, strict=True):
@@ -182,7 +182,7 @@ def _show_assemblies(found: Study) -> None:
 
 def _sensitivity_table(found: Study) -> Table:
     assert found.sensitivity is not None
-    # An index near zero is estimated to either side of it: no share is below none.
+    # Estimates of an index near zero may be negative; a share may not.
     estimates = found.sensitivity.first.value, found.sensitivity.total.value
     first, total = (np.maximum(each, 0.0) for each in estimates)
     title = "What matters at the configured tolerances: total (first) Sobol index [%]"

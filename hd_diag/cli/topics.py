@@ -30,14 +30,14 @@ from hd_diag.records.robot_description import Transmission, contradictions, desc
 from hd_diag.records.table_columns import TableColumns, table_columns
 from hd_diag.records.text_table import is_table
 
-_SHOWN, _NAMED = 40, 12  # numbers of a topic; joints of a publisher
+_SHOWN, _NAMED = 40, 12  # most numbers listed of a topic; most joints of a publisher
 _TORQUES = "torque", "current"
-_BULK = 0.01, 0.99  # of the stamps that tell a rate
+_BULK = 0.01, 0.99  # quantiles of the stamps that give a rate
 _DIFFERS = 0.02  # relative difference allowed between the ratio of two angles and a described one
 
 
 def topics(bag: Path, urdf: Path | None, config_file: str | None, json_file: str | None) -> None:
-    """Do what ``hd-diag topics`` is asked for."""
+    """Run ``hd-diag topics``."""
     joints = load(config_file, teeth=False).joints if config_file else ()
     result = of_table(bag) if is_table(bag) else _of_bag(bag, urdf, joints)
     if write_json(json_file, result):
@@ -45,13 +45,13 @@ def topics(bag: Path, urdf: Path | None, config_file: str | None, json_file: str
 
 
 def of_table(path: Path, verb: str = "diagnose") -> dict[str, Any]:
-    """What a table holds, and the verb's command that takes it; a Problem where it is none."""
+    """Content of a table, and the verb's command for it; a Problem if it is no table."""
     try:
         found = table_columns(path)
     except RecordError as error:
         raise Problem(str(error)) from error
     time = found.time[np.isfinite(found.time)]
-    time = np.cumsum(np.maximum(np.diff(time, prepend=time[:1]), 0.0))  # recordings one behind the other
+    time = np.cumsum(np.maximum(np.diff(time, prepend=time[:1]), 0.0))  # recordings one after the other
     duration = float(np.ptp(time)) if time.size and found.time_name else 0.0
     content = Contents(found.fields, "", {(): time if found.time_name else time[:0]})
     topic = Topic(str(path), "table", len(found.time))
@@ -65,7 +65,7 @@ def of_table(path: Path, verb: str = "diagnose") -> dict[str, Any]:
 
 
 def _command(path: Path, found: TableColumns, mapping: dict[str, Any], verb: str) -> str:
-    """The verb's command for a table, or that of ``ripple`` where there is one angle."""
+    """The verb's command for a table, or that of ``ripple`` if there is one angle."""
     columns = {"time": found.time_name} if found.time_name else {}
     for role, owner in OWNERS.items():
         if name := mapping.get(f"{owner}.field"):
@@ -108,7 +108,7 @@ def _result(
 
 
 def _mapping(joints: list[dict[str, Any]], contested: list[str]) -> str:
-    """Text of a parameter file; above it what contradicts it, and what the check of one asks for beside."""
+    """Text of a parameter file; comments above it have contradictions and the error of its check."""
     flat: dict[str, Value] = {"joints": [joint["name"] for joint in joints]}
     for joint in joints:
         flat |= {f"{joint['name']}.{name}": value for name, value in joint["mapping"].items()}
@@ -142,9 +142,9 @@ def _describe(
     problems: list[str],
     configured: Sequence[JointConfig],
 ) -> None:
-    """Add the joints' ratios from a description, and where they contradict what is known.
+    """Add the joints' ratios from a robot's description, and their contradictions to what is known.
 
-    Where the angles have another ratio, theirs stands.
+    If the angles have another ratio, the mapping gets theirs.
     """
     ratios, contested = {each.joint: each for each in found}, []
     for joint in result["joints"]:
@@ -172,7 +172,7 @@ def _describe(
 def _topic(duration: float, topic: Topic, content: Contents) -> dict[str, Any]:
     """Content of a topic; rates by stamps, else by the duration [s] of the bag.
 
-    A publisher is known by the joints that it names, and so told from others on the same topic.
+    Publishers on the same topic are distinguished by the joints that they name.
     """
     stamps = [*content.stamps.values()]
     rate = _rate(np.concatenate(stamps)) if stamps else None
@@ -204,9 +204,9 @@ def _topic(duration: float, topic: Topic, content: Contents) -> dict[str, Any]:
 
 
 def _rate(stamps: Floats) -> float | None:
-    """How often messages with these stamps [s] came [Hz]; None where that is unknown.
+    """Rate of messages with these stamps [s], in Hz; None if it is unknown.
 
-    The bulk of the stamps decides: a few may be of another clock.
+    The bulk of the stamps decides: a few may come from another clock.
     """
     span = float(np.ptp(np.quantile(stamps, _BULK))) if stamps.size > 1 else 0.0
     return float(np.ptp(_BULK)) * (stamps.size - 1) / span if span > 0.0 else None
@@ -223,7 +223,7 @@ def _alone(every: list[NumericField], paired: set[int]) -> list[NumericField]:
 
 
 def _joint(output: NumericField, pair: AnglePair | None, every: list[NumericField]) -> dict[str, Any]:
-    """A joint's name, mapping by names of parameters, and what is to say about it."""
+    """A joint's name, mapping by names of parameters, and remarks on it."""
     tag = output.tag
     name = re.sub(r"\W", "_", tag if not tag[:1].isdigit() else f"joint_{tag}", flags=re.ASCII) or "joint_1"
     mapping: dict[str, Value] = {}

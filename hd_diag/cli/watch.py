@@ -29,7 +29,7 @@ _DIAGNOSE, _QUIT = "d", "q"  # keys: ask the nodes for a diagnosis, end
 _STEP = 0.2  # longest sleep between looks at signals [s]
 # Wait for more nodes after the first report [s]: DDS may take 2.7 s to discover a second one.
 _SETTLE = 3.0
-_SETTLE_JOINTS = 0.5  # where it is known what is waited for
+_SETTLE_JOINTS = 0.5  # the same if the joints are given
 
 
 def watch(
@@ -40,14 +40,14 @@ def watch(
     fail_on_fault: bool,
     json_file: str | None,
 ) -> int:
-    """Do what ``hd-diag watch`` is asked for."""
+    """Run ``hd-diag watch``."""
     with needing_ros("watch"):
         from hd_diag.watch.listener import listening
     state = Watch(joints, namespaces)
     with noted_signals() as came, contextlib.ExitStack() as stack:
         try:
             listener = stack.enter_context(listening(state))
-        except Exception as error:  # rclpy raises several kinds, of a wrong ROS_DOMAIN_ID for instance
+        except Exception as error:  # rclpy raises several kinds, for instance if ROS_DOMAIN_ID is wrong
             raise Problem(f"no access to ROS: {error}") from error
         try:
             if once:
@@ -55,7 +55,7 @@ def watch(
                 is_faulty = not came and _show_once(state, timeout, json_file)
             else:
                 is_faulty = _follow(state, listener, came, fail_on_fault, json_file)
-        except BrokenPipeError:  # the reader has enough: no matter which signal came
+        except BrokenPipeError:  # the reader has closed: a signal does not matter
             raise
         except OSError as error:
             raise Problem(f"{json_file}: cannot be written: {error.strerror}") from error
@@ -63,7 +63,7 @@ def watch(
 
 
 def _wait_for_all(state: Watch, listener: Listener, came: Sequence[int], timeout: float) -> None:
-    """Wait until all that was asked for is reported, and others had the time to be discovered."""
+    """Wait until the chosen joints are reported, and other nodes have had time to be discovered."""
     end, settled = time.monotonic() + timeout, math.inf
     settle = _SETTLE_JOINTS if state.joints else _SETTLE
     while not came and (remaining := end - time.monotonic()) > 0.0:
@@ -76,7 +76,7 @@ def _wait_for_all(state: Watch, listener: Listener, came: Sequence[int], timeout
 
 
 def _show_once(state: Watch, timeout: float, json_file: str | None) -> bool:
-    """Show every joint that was reported; whether one has a fault."""
+    """Show every joint that was reported; return whether one has a fault."""
     now = time.monotonic()
     if write_json(json_file, state.as_json(now)) and state.view(now):
         with Display(state, sys.stdout) as display:
@@ -89,7 +89,7 @@ def _show_once(state: Watch, timeout: float, json_file: str | None) -> bool:
 def _follow(
     state: Watch, listener: Listener, came: Sequence[int], fail_on_fault: bool, json_file: str | None
 ) -> bool:
-    """Show what comes until a signal ends it, or a fault where that is asked for; whether it was a fault."""
+    """Show reports until a signal, a key or, with `fail_on_fault`, a fault; return whether it was a fault."""
     with contextlib.ExitStack() as stack:
         shows: list[Callable[[float, bool], None]] = []
         if json_file:
@@ -113,7 +113,7 @@ def _follow(
 
 
 def _json_lines(state: Watch, file: IO[str]) -> Callable[[float, bool], None]:
-    """Writes a state as a line of JSON where something came, once a second at most."""
+    """Function that writes the state as a line of JSON after new messages, at most once a second."""
     written, due = 0, 0.0
 
     def write(now: float, is_last: bool) -> None:
@@ -130,7 +130,7 @@ def _json_lines(state: Watch, file: IO[str]) -> Callable[[float, bool], None]:
 def _pressed_keys() -> Iterator[Callable[[], str]]:
     """A function that gives the keys pressed since its last call. The terminal is left as it was.
 
-    None where stdin is no terminal or the program is in the background, which reading would stop.
+    It gives no keys if stdin is no terminal or the program is in the background, where reading would stop it.
     """
     fd = sys.stdin.fileno() if sys.stdin.isatty() else -1
     if fd < 0 or os.tcgetpgrp(fd) != os.getpgrp():

@@ -1,4 +1,4 @@
-"""Workers of a Dask scheduler; bags are read where the worker is."""
+"""Workers of a Dask scheduler; each worker reads bags on its own machine."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _WORKERS = 60.0  # for a first worker
 
 
 class ClusterPool:
-    """The worker processes of a Dask scheduler, whichever are there at a time; each does one task at a time.
+    """The worker processes of a Dask scheduler, which may come and go; each does one task at a time.
 
-    A task is pinned to its worker: when a worker dies, it is known which task it was doing. Raises FleetError
-    where there is no scheduler at the address, or Dask is not installed.
+    A task is pinned to its worker, so that the task of a dead worker is known. Raises FleetError if there is
+    no scheduler at the address, or Dask is not installed.
     """
 
     def __init__(self, address: str) -> None:
@@ -29,18 +29,18 @@ class ClusterPool:
             from distributed import Client
         except ImportError as error:
             raise FleetError(f"--scheduler needs Dask: pip install 'hd_diag[cluster]' ({error})") from error
-        # Dask would report every worker that goes; the run reports what matters.
+        # Dask would report every lost worker; the run reports what matters.
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         self._address = address
         try:
             self._client = Client(address, timeout=_CONNECT, set_as_default=False)
-        except Exception as error:  # for a wrong address it raises several kinds, some without words
+        except Exception as error:  # a wrong address raises several kinds, some without text
             wanted = "an address is like tcp://host:8786"
             raise FleetError(f"no Dask scheduler at {address}: {error}; {wanted}") from error
         self._seen = time.monotonic()
 
     def workers(self) -> list[str]:
-        """Addresses of those that are there."""
+        """Addresses of the present workers."""
         try:
             workers = list(self._client.nthreads())
         except (OSError, TimeoutError, ValueError, RuntimeError) as error:
@@ -79,19 +79,19 @@ class ClusterPool:
         except TimeoutError:
             return
         except Exception as error:
-            # Lost futures are found by their state; anything else is the scheduler's end.
+            # Lost futures show in their state; any other error means that the scheduler is gone.
             if self._client.status != "running":
                 raise self._gone() from error
 
     def _outcome(self, future: Any, worker: str, alive: bool) -> Any:
-        """Result or `Failure`; None while the task is being done."""
+        """Result or `Failure`; None while the task runs."""
         from distributed import KilledWorker
 
         gone = Failure(f"{worker} is gone", died=True)
         if future.status == "finished":
             try:
                 return future.result(timeout=_GATHER)
-            except Exception as error:  # whatever Dask makes of a worker that died with the result
+            except Exception as error:  # Dask raises many kinds if a worker died with the result
                 return Failure(f"{worker}: {error}", died=True)
         if future.status == "error":
             raised = future.exception(timeout=_GATHER)
@@ -107,4 +107,4 @@ class ClusterPool:
         return self
 
     def __exit__(self, *reason: object) -> None:
-        self._client.close(timeout=_GATHER)  # and with it the tasks that are still being done
+        self._client.close(timeout=_GATHER)  # this also ends the running tasks

@@ -1,4 +1,4 @@
-"""The weekly page of a fleet: a row a joint, the worst first; no network, no script, no picture to load."""
+"""The weekly page of a fleet: a row per joint, the worst first; no network, no script, no picture to load."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from hd_diag.formatting import si, size, words
 from hd_diag.report.facts import Fact, versions
 
 _SIGNS = {"red": "✕", "amber": "!", "green": "✓", "not_judged": "?"}
-_STALE = 8.0  # behind the fleet's newest recording; an older row says so [days]
+_STALE = 8.0  # lag behind the fleet's newest recording above which a row says so [days]
 _WIDTH, _HEIGHT, _EDGE = 132.0, 40.0, 4.0  # of a small trend
-_TOP = 2.0  # of its axis, in limits; what is larger is drawn there
+_TOP = 2.0  # highest end of its axis over the limit; larger values are drawn there
 _LEAST_TOP = 1.25
 
 
@@ -38,7 +38,7 @@ class Small(NamedTuple):
 
 def health_page(found: Health, facts: Sequence[Fact]) -> str:
     """HTML of the page; `facts` say how it was made."""
-    from hd_diag.report.page import rendered  # here, because matplotlib takes its time
+    from hd_diag.report.page import rendered  # imported late: matplotlib takes its time
 
     rows, colours, standings = found.rows, found.colours, found.standings
     names = sorted({one.robot for one in standings}, key=natural)
@@ -83,24 +83,24 @@ def health_page(found: Health, facts: Sequence[Fact]) -> str:
 
 
 def _prefix(joints: set[str]) -> str:
-    """What all names begin with, except for their numbers; empty where one would have no name without it."""
+    """Common beginning of all names, without final digits; empty if it is the whole of a name."""
     prefix = os.path.commonprefix(list(joints)).rstrip("0123456789") if len(joints) > 1 else ""
     return "" if prefix in joints else prefix
 
 
 def _beside(one: Standing, quantity: str) -> tuple[str, str, str] | None:
-    """A quantity's value, its limit and the criterion behind that in words; None where it is not known."""
+    """A quantity's value, its limit and the limit's criterion in words; None if the quantity has no limit."""
     found = next((each for each in one.colour.limited if each.quantity == quantity), None)
     if found is None:
         return None
-    # A limit that a user gave is by no criterion.
+    # A limit given by the user has no criterion.
     own = quantity == ECCENTRICITY and found.limit == one.row.get("eccentricity_allowed_m")
     criterion = words(one.row["eccentricity_criterion"] or "") if own else ""
     return si(found.value, found.std, found.unit), size(found.limit, found.unit), criterion
 
 
 def _small(one: Standing, ends: tuple[float, float] | None) -> Small | None:
-    """What comes nearest to its limit, over all recordings; without limits the first series."""
+    """Trend of the quantity nearest to its limit, over all recordings; without limits the first series."""
     nearest = one.nearest
     known = [trend.series for trend in one.trends if trend.series.value.size]
     series = next((s for s in known if not nearest or s.quantity == nearest.quantity), None)
@@ -123,7 +123,7 @@ def _small(one: Standing, ends: tuple[float, float] | None) -> Small | None:
 
 
 def _filters(robots: int) -> str:
-    """Style rules: the page's choices hide rows."""
+    """Style rules by which the page's choices hide rows."""
     hidden = {f"show-{state}": f":not(.{state})" for state in LIGHTS}
     hidden |= {"show-look": ".green", "show-changed": ":not(.changed)"}
     hidden |= {f"robot-{n}": f":not(.robot-{n})" for n in range(robots)}

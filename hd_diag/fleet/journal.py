@@ -1,4 +1,4 @@
-"""Results and pages of joints that a run keeps at once: an interrupted run continues from them."""
+"""Results and pages of joints, saved at once, so that an interrupted run can continue from them."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ _PAGE_NAME = re.compile(r"[\w.-]+_[0-9a-f]{16}\.html", re.ASCII)
 class Journal:
     """Results by key: one line of JSON with a checksum each, appended and synchronised at once.
 
-    A line that is cut off or has changed counts as `lost`: its result is not there. A fresh journal forgets
-    what it holds. Only one run at a time can have it. Raises FleetError where it cannot be read or written,
-    or another run has it.
+    A cut or changed line counts as `lost`, and its result is ignored. `fresh` empties the file first. Only
+    one run at a time can open it. Raises FleetError if the file cannot be opened or written, or another run
+    has it.
     """
 
     def __init__(self, path: Path, fresh: bool = False) -> None:
@@ -50,7 +50,7 @@ class Journal:
         self._cut = bool(content) and not content.endswith(b"\n")
 
     def add(self, key: str, row: Row) -> None:
-        """Keep a result for good."""
+        """Save a result and synchronise the file."""
         text = json.dumps({"key": key, "row": row}, allow_nan=False).encode()[:-1]
         rest = b"\n" * self._cut + text + _checksum(text) + b"\n"
         self._cut = True
@@ -71,7 +71,7 @@ class Journal:
 
 
 def _checksum(text: bytes) -> bytes:
-    """The end of a line that begins with this."""
+    """End of a line that begins with `text`."""
     return b', "crc32": %d}' % crc32(text)
 
 
@@ -91,7 +91,7 @@ class BagPages:
         return f"{self.folder.name}/{place.name}" if place.exists() else None
 
     def write(self, task: Task, html: str) -> None:
-        """Keep a page; one that is there is whole. FleetError where it cannot be written."""
+        """Write a page, which is put in place only when complete. FleetError if it cannot be written."""
         place = self.place(task)
         try:
             self.folder.mkdir(exist_ok=True)
@@ -101,7 +101,7 @@ class BagPages:
             raise FleetError(f"{place}: cannot be written: {error.strerror or error}") from error
 
     def keep(self, links: Iterable[str | None]) -> None:
-        """Delete the pages of this folder that the fleet's page does not link to any more."""
+        """Delete the pages in this folder that the fleet's page no longer links to."""
         kept = {Path(link).name for link in links if link}
         for path in self.folder.iterdir() if self.folder.is_dir() else ():
             if _PAGE_NAME.fullmatch(path.name) and path.name not in kept:

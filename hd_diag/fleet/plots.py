@@ -14,14 +14,14 @@ from matplotlib.figure import Figure
 from hd_diag.fleet.trend import Trend
 from hd_diag.formatting import SCALES, words
 
-MOST = 24  # panels; of more series those with the clearest changes are drawn
+MOST = 24  # most panels; of more series those with the clearest changes are drawn
 _COLUMNS = 3
 _PANEL = (4.6, 2.6)  # [inch]
-_LIMIT_NEAR = 3.0  # times the largest value; a limit farther off would press the series flat
+_LIMIT_NEAR = 3.0  # limit over largest value above which it is not drawn: it would flatten the series
 
 
 def draw(trends: Sequence[Trend], path: Path) -> None:
-    """Draw the series, the clearest changes first; raises OSError where the file cannot be written."""
+    """Draw the series, the clearest changes first; raises OSError if the file cannot be written."""
     there = [trend for trend in trends if trend.series.value.size]
     shown = sorted(there, key=lambda trend: np.nanmin([trend.step_q, trend.drift_q, 2.0]))[:MOST]
     lines = max(-(-len(shown) // _COLUMNS), 1)
@@ -34,7 +34,7 @@ def draw(trends: Sequence[Trend], path: Path) -> None:
 
 
 def _panel(axes: Axes, trend: Trend) -> None:
-    """A series with its drift, or its steps and the intervals of their places."""
+    """A series with its drift, or with its steps and the intervals of their times."""
     series, (scale, unit) = trend.series, SCALES[trend.series.unit]
     spread = np.where(np.isfinite(series.std), series.std, 0.0) / scale
     axes.errorbar(_dates(series.time), series.value / scale, spread, fmt=".", color="C0", elinewidth=0.8)

@@ -38,13 +38,13 @@ from hd_diag.tolerance.study import with_allowed
 SCHEMA = "hd_diag/fleet/1"
 
 PAGE = "page"
-"""Of a result, not of a row: the HTML of its own page, where that was asked for."""
+"""Key of a page: its HTML in a result of `judge`, its path in a row of the table."""
 
 Row = dict[str, Any]
-"""Values by the names of `hd_diag.fleet.table.COLUMNS`; what is missing is unknown. `start` is in nanoseconds
+"""Values by the names of `hd_diag.fleet.table.COLUMNS`; missing values are unknown. `start` is in nanoseconds
 since 1970."""
 
-_CONTENT = "5"  # of rows: results that a journal holds with another are made again
+_CONTENT = "5"  # version of the rows: journal results of another one are computed again
 
 FITTED = {
     "eccentricity.magnitude": ("eccentricity{}_m", "m", "eccentricity, refitted"),
@@ -61,12 +61,12 @@ FITTED = {
     "tooth_compliance": ("tooth_compliance{}_m_per_N", "m/N", "K1 + K2 of a tooth pair, refitted"),
     "cup_compliance": ("cup_compliance{}_rad_per_Nm", "rad/(N m)", "compliance of the cup, refitted"),
 }
-"""Columns of fitted parameters and, with ``_std`` for the braces, of their deviations; unit, what it is."""
+"""Columns of fitted parameters and, with ``_std`` for the braces, of their deviations; unit; meaning."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """One joint of one bag, to be diagnosed where the bag can be read, with a page if it is to be drawn.
+    """One joint of one bag, to be diagnosed by a process that can read the bag; `drawn` asks for a page.
 
     `flat` are the joint's parameters by their full names.
     """
@@ -81,16 +81,16 @@ class Task:
 
     @property
     def key(self) -> str:
-        """What the result depends on: the bag's contents, the joint's parameters, version, effects added."""
+        """Hash of the inputs of the result: bag contents, joint, its parameters, version, added effects."""
         added = (effect.name for effect in load() if effect not in CATALOGUE)
         parts = (SCHEMA, _CONTENT, __version__, self.digest, self.joint.name, self.config_digest, *added)
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
 def judge(task: Task) -> Row:
-    """The part of a row that a bag's contents, joint and version determine: a diagnosis, or an ``error``.
+    """Columns that depend only on bag contents, joint and version: a diagnosis, or an ``error``.
 
-    With `PAGE` where it is to be drawn and there is something to draw.
+    `PAGE` is added if a page is to be drawn and there is something to draw.
     """
     versions = {f"{name}_version": version for name, version in running().items()}
     fixed = {"joint": task.joint.name, "config_sha256": task.config_digest, **versions}
@@ -110,13 +110,13 @@ def judge(task: Task) -> Row:
 
 
 def _page(task: Task, report: JointReport) -> str:
-    from hd_diag.report.page import page  # here, because matplotlib takes its time
+    from hd_diag.report.page import page  # imported late: matplotlib takes its time
 
     return page([report], sources([Path(task.bag)]))
 
 
 def _not_judged(task: Task, reason: str) -> Row:
-    """Columns where the angles cannot be judged: the ripple of the torque, or an ``error``."""
+    """Columns of a joint whose angles cannot be judged: the torque's ripple, or an ``error``."""
     motion = found = None
     with contextlib.suppress(RecordError):
         motion = read_motion([task.bag], task.joint)
@@ -201,9 +201,9 @@ def amplitude_std(fit: LinearisedFit, cause: Cause) -> float:
     """Standard deviation of a cause's amplitude, from that of its coefficients [rad rms].
 
     With columns X about their mean and coefficients c of covariance C, the amplitude is a = |X c| / sqrt(n),
-    its gradient g = X' X c / (n a), its variance g' C g: the first order in C. Nonlinear values are held.
+    its gradient g = X' X c / (n a), its variance g' C g, to first order in C. Nonlinear values are fixed.
     """
-    own = slice(cause.coefficients.size)  # without the columns that wander: a cause keeps no numbers of them
+    own = slice(cause.coefficients.size)  # without wander columns: a cause keeps no coefficients of them
     columns = fit.columns(cause.effect, cause.nonlinear)[:, own]
     part = columns @ cause.coefficients
     if not (amplitude := float(np.std(part))) > 0.0:
@@ -213,7 +213,7 @@ def amplitude_std(fit: LinearisedFit, cause: Cause) -> float:
 
 
 def readable(value: Any) -> Any:
-    r"""A value with valid Unicode only: bytes of a file name that are not text become ``\udcXX``."""
+    r"""A value with valid Unicode only: bytes of a file name that are no text become ``\udcXX``."""
     if isinstance(value, str):
         return value.encode("utf-8", "backslashreplace").decode()
     return [readable(item) for item in value] if isinstance(value, list) else value

@@ -1,4 +1,4 @@
-"""A run over many bags: find them, look at each, diagnose what is not known yet, put the rows together."""
+"""A run over many bags: find and survey them, diagnose joints without a result, collect the rows."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from hd_diag.replay.versions import Versions, running
 from hd_diag.report.facts import sha256
 
 Progress = Callable[[str, int, int, int], None]
-"""Called with the stage, how much of it is done, how much it has, and how many tasks are done."""
+"""Called with the stage, the work done in it, its total work, and the number of tasks done."""
 
 _Outcomes = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[tuple[int, Any]]]
-"""`hd_diag.process_pool.run` of a function and items."""
+"""`hd_diag.process_pool.run`, called with a function and items."""
 
 _NAMES_SHOWN = 8
 _SUFFIXES = (".mcap", ".db3")
@@ -38,11 +38,12 @@ _USED = [p.name for p in JOINT_PARAMETERS if not p.name.startswith("limits.") an
 
 @dataclass(frozen=True)
 class Survey:
-    """What was seen of one bag; where it has an `error`, nothing else is known but its problems.
+    """What was seen of one bag; with an `error` only its problems are known as well.
 
-    The digest of its contents; first log time [ns since 1970], None for an empty bag; how many messages and
-    which names its joint states have, where it has any; what is unfinished about its files; versions of the
-    worker that looked; topics; time from the first to the last message [s].
+    `digest` is that of the contents; `start` the first log time [ns since 1970], None for an empty bag;
+    `messages` the number of joint states, or of all messages if there are none; `names` those in the joint
+    states; `problems` say which files are unfinished; `versions` are those of the worker that looked;
+    `duration` is the time from the first to the last message [s].
     """
 
     path: str
@@ -61,7 +62,7 @@ class Survey:
 class Fleet:
     """Which bags, which of the configuration's joints, and how robots are distinguished.
 
-    The pattern's first group (or the whole match) in a bag's path names the robot, None = one robot.
+    The first group of `robot` (or its whole match) in a bag's path names the robot; None means one robot.
     """
 
     bags: Sequence[Path]
@@ -70,7 +71,7 @@ class Fleet:
     robot: re.Pattern[str] | None = None
 
     def robot_of(self, bag: Path) -> str | None:
-        """Name of a bag's robot; FleetError where the pattern finds none."""
+        """Name of a bag's robot; FleetError if the pattern finds none."""
         if self.robot is None:
             return None
         match = self.robot.search(str(bag))
@@ -105,7 +106,7 @@ def _within(folder: Path) -> Iterator[Path]:
 
 
 def survey(path: str) -> Survey:
-    """Look at a bag: every byte is read twice, nothing is kept."""
+    """Survey a bag: every byte is read twice, nothing is kept."""
     try:
         with BagReader(path) as reader:
             if not reader.topics:
@@ -118,7 +119,7 @@ def survey(path: str) -> Survey:
                 reader.start if reader.message_count else None,
                 sum(topic.count for topic in reader.topics if topic.name in measured or not measured),
                 joints_in(reader),
-                tuple(reader.problems),  # last, with what reading showed
+                tuple(reader.problems),  # last: reading adds problems
                 topics=frozenset(topic.name for topic in reader.topics),
                 duration=reader.duration,
             )
@@ -127,7 +128,7 @@ def survey(path: str) -> Survey:
 
 
 def tasks(seen: Survey, config: Config, joints: tuple[JointConfig, ...]) -> list[Task]:
-    """The configured joints that a bag has an angle of, or a topic that a signal is mapped to."""
+    """Tasks for the configured joints that have an angle or a mapped topic in a bag."""
     found = []
     for joint in joints:
         mapped = tuple(f"/{signal.topic.lstrip('/')}" for signal in joint.mapped.values() if signal.topic)
@@ -149,18 +150,18 @@ def diagnose_fleet(
     timeout: float = 0.0,
     pages: BagPages | None = None,
 ) -> list[Row]:
-    """Rows of every joint of every bag, in the order of bags and joints, with ``error`` where none is judged.
+    """Rows of every joint of every bag, in the order of bags and joints, with ``error`` if none is judged.
 
-    What the journal holds is not done again, and every result goes into it as it comes. The timeout [s] is
-    for looking at a bag, and for judging each of its joints; for `tick` see :func:`hd_diag.process_pool.run`.
-    Of each joint's last recording a page is drawn, where there are to be `pages` and it is not there yet.
-    Raises FleetError where workers are gone, have another version, or the journal cannot be written.
+    Results in the journal are not computed again; each new result is added at once. `timeout` [s] limits the
+    survey of a bag, and the judging of each of its joints; for `tick` see :func:`hd_diag.process_pool.run`.
+    With `pages`, a page is drawn for each joint's last recording if it does not exist yet.
+    Raises FleetError if workers are gone, have another version, or the journal cannot be written.
     """
     robots = [fleet.robot_of(bag) for bag in fleet.bags]
     outcomes = functools.partial(run, pool, tick=tick, timeout=timeout)
     seen = _surveys(fleet, outcomes, progress)
     wanted = [tasks(one, fleet.config, fleet.joints) for one in seen]
-    last: dict[tuple[str | None, str], tuple[int, Task]] = {}  # recording of each joint of each robot
+    last: dict[tuple[str | None, str], tuple[int, Task]] = {}  # last recording of each joint
     for robot, one, own in zip(robots, seen, wanted, strict=True):
         for task in own if pages else ():
             name, start = (robot, task.joint.name), one.start or 0
@@ -204,9 +205,9 @@ def _surveys(fleet: Fleet, outcomes: _Outcomes, progress: Progress) -> list[Surv
 def _judge(
     todo: list[Task], outcomes: _Outcomes, journal: Journal, progress: Progress, pages: BagPages | None
 ) -> dict[str, Row]:
-    """Fill the journal; what gave no result is returned, and tried again by the next run."""
+    """Fill the journal; return rows of the failed tasks, which the next run tries again."""
     failed: dict[str, Row] = {}
-    todo.sort(key=lambda task: -task.messages)  # the long ones first, or the last would keep all waiting
+    todo.sort(key=lambda task: -task.messages)  # the long ones first: a long last one would keep all waiting
     total, samples = sum(task.messages for task in todo), 0
     progress("diagnosing", 0, total, 0)
     for done, (number, outcome) in enumerate(outcomes(judge, todo), start=1):

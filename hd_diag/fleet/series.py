@@ -17,10 +17,10 @@ ERROR = "transmission_error"
 NOMINAL = "residual_nominal"
 REFIT = "residual_refit"
 RIPPLE = "ripple_"
-"""Begin of a ripple's quantity; its order per turn of the output follows."""
+"""Beginning of the name of a ripple; its order per turn of the output follows."""
 
 _SIGMAS_95 = 2.0 * 1.959964  # width of a 95 % interval in standard deviations
-_UNSEEN = 0.5  # of the least size found: what may be there unseen lies within two such deviations
+_UNSEEN = 0.5  # deviation over the least size found: an unseen amplitude is within two of them
 
 Limits = Mapping[tuple[str, str], float]
 """By joint and quantity, in SI."""
@@ -47,12 +47,12 @@ class Series:
 
 
 def series_of(rows: Sequence[Row], limits: Limits) -> list[Series]:
-    """Series of every joint of every robot that has been diagnosed; limits by joint and quantity.
+    """Series of every diagnosed joint of every robot; limits by joint and quantity.
 
     Eccentricity where the refit is trustworthy [m]; transmission error without torsion, peak to peak [rad];
     held-out residuals, nominal and refitted [rad]; the amplitude of each cause found at least once [rad rms].
-    Where a cause was not found but could have been, its amplitude is 0 with half the least size found as
-    standard deviation; names that a record could not distinguish make one cause. A joint with one angle
+    If a cause was not found but could have been, its amplitude is 0 and its standard deviation half the least
+    size that would be found; names that a record could not distinguish make one cause. A joint with one angle
     has the amplitude of each line of its torque that was found at least once [N m].
     """
     joints: dict[tuple[str, str], list[Row]] = defaultdict(list)
@@ -73,13 +73,13 @@ def series_of(rows: Sequence[Row], limits: Limits) -> list[Series]:
 
 
 def limit_of(limits: Limits, joint: str, quantity: str) -> float:
-    """The least limit of a joint's quantity, which may be one of several causes; nan where it has none."""
+    """The least limit of a joint's quantity, whose name may hold several causes; nan without a limit."""
     own = [limits[joint, name] for name in quantity.split(" or ") if (joint, name) in limits]
     return min(own, default=math.nan)
 
 
 def _ripples(rows: list[Row]) -> dict[str, list[Point]]:
-    """Amplitudes of each line that was found in one row at least."""
+    """Amplitudes of each line that was found in at least one row."""
     names = [f"ripple_{name}" for name in ("orders", "reverses", "amplitudes_Nm", "stds_Nm", "found")]
     found: dict[str, list[Point]] = defaultdict(list)
     seen = set()
@@ -110,7 +110,7 @@ def _of_errors(rows: list[Row]) -> dict[str, list[Point]]:
 
 
 def classes(of_rows: Iterable[Sequence[Sequence[str]]]) -> list[frozenset[str]]:
-    """Names of causes, those together that any row could not distinguish, in the order of their names."""
+    """Sets of the names of causes that some row could not distinguish, in the order of the names."""
     merged: list[frozenset[str]] = []
     for alike in (frozenset(names) for row in of_rows for names in row):
         touching = [one for one in merged if one & alike]
@@ -119,7 +119,7 @@ def classes(of_rows: Iterable[Sequence[Sequence[str]]]) -> list[frozenset[str]]:
 
 
 def _amplitude(row: Row, names: frozenset[str]) -> Point | None:
-    """Amplitude of a cause in a row; None where the record could not have shown it."""
+    """Amplitude of a cause in a row; None if the record could not have shown it."""
     columns = (row[f"cause{end}"] for end in ("s", "_amplitudes_rad", "_amplitude_stds_rad"))
     for name, size, std in zip(*columns, strict=True):
         if name in names:
@@ -130,14 +130,14 @@ def _amplitude(row: Row, names: frozenset[str]) -> Point | None:
 
 
 def _residual(row: Row, rms: float) -> Point:
-    """A residual, its deviation in proportion to that of the noise floor."""
+    """A residual with the same relative deviation as the noise floor."""
     noise, low, high = (row[f"noise_floor{end}_rad"] for end in ("", "_low", "_high"))
     known = None not in (noise, low, high) and noise > 0.0
     return began(row), rms, (high - low) / _SIGMAS_95 / noise * rms if known else math.nan
 
 
 def began(row: Row) -> float:
-    """When a row's recording began [s since 1970]; nan where it is not known."""
+    """When a row's recording began [s since 1970]; nan if it is not known."""
     return math.nan if row.get("start") is None else float(row["start"]) * 1e-9
 
 

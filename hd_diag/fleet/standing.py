@@ -1,13 +1,13 @@
 """How each joint stands: the colour of its last recording, the limits behind it, since when, and changes.
 
-The colour of a recording is the traffic light of the joint's own page (`hd_diag.diagnosis.action`). Only what
-that page does not know makes it worse:
+The colour of a recording is the traffic light of the joint's own page (`hd_diag.diagnosis.action`). It is
+worse only for reasons that this page does not know:
 
-* ``red``: a quantity is beyond a limit that the user gives, with its whole 95 % interval.
+* ``red``: the whole 95 % interval of a quantity is beyond a limit that the user gives.
 * ``amber``: the interval holds such a limit, or the recording is cut off, lacks the joint for more than half
   of its time, or has more than a twentieth of its samples refused.
 
-A joint with one angle has no light: limits of its ripple decide, and without one it is ``not_judged``.
+A joint with one angle has no light: limits of its ripple decide; without a limit it is ``not_judged``.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from hd_diag.fleet.series import ECCENTRICITY, ERROR, Limits, Series, began, lim
 from hd_diag.fleet.trend import Trend
 from hd_diag.formatting import si, size, words
 
-_COVERED = 0.5  # of a bag, that a joint's samples must cover: drivers may start late, or stop early
-_REFUSED = 0.05  # of the samples; with fewer only the verdict says that they were refused
+_COVERED = 0.5  # least share of a bag with samples of a joint: drivers may start late, or stop early
+_REFUSED = 0.05  # share of refused samples that changes the colour; fewer are in the verdict only
 _NO_LIGHT = "it was not judged"
 _ONE_ANGLE = "one angle alone: no transmission error, only lines of the torque"
 
@@ -48,9 +48,9 @@ class Colour(NamedTuple):
 class Standing:
     """A joint of a robot.
 
-    Its last recording as a row of the table with its colour; since when [s since 1970, nan: not known] and in
-    how many recordings it has had that state without another between (those not judged aside), and the state
-    before; all recordings in time order with their states; its trends.
+    `row` and `colour` are those of its last recording. It has had that state `since` a time [s since 1970,
+    nan: not known], in `count` recordings without another state between (except for those not judged);
+    `before` is the state before. `history` has times and states of all recordings in time order.
     """
 
     robot: str
@@ -65,12 +65,12 @@ class Standing:
 
     @property
     def changes(self) -> tuple[Trend, ...]:
-        """What steps or drifts."""
+        """The trends that step or drift."""
         return tuple(trend for trend in self.trends if trend.changed)
 
     @property
     def nearest(self) -> Limited | None:
-        """What comes nearest to its limit, or is farthest beyond; None without any."""
+        """The quantity nearest to its limit, or farthest beyond; None without limits."""
         return max(self.colour.limited, key=lambda one: one.value / one.limit, default=None)
 
 
@@ -84,17 +84,17 @@ class Health:
     standings: Sequence[Standing]
 
     def fails(self, least: str) -> bool:
-        """Whether something is ``red``, or as bad as ``amber``: not green, or a bag not judged or cut off."""
+        """Whether a joint is ``red``; for ``amber``: is not green, or a bag was not judged or is cut off."""
         if least == RED:
             return any(one.colour.state == RED for one in self.standings)
         return any(one.colour.state != GREEN for one in self.standings) or bool(self.attention[0])
 
     @property
     def attention(self) -> tuple[list[int], list[int]]:
-        """Indices of rows that could not be judged or are not whole: those that still matter, and older ones.
+        """Indices of rows that were not judged or are incomplete: those that still matter, and older ones.
 
-        Older ones are followed by a recording of the same joint, or, where a bag has no usable joint, of the
-        same robot.
+        Older ones are followed by a recording of the same joint or, if a bag has no usable joint, of the same
+        robot.
         """
         last: dict[tuple[str | None, str | None], int] = {}
         for row in self.rows:
@@ -110,7 +110,7 @@ class Health:
 
     @property
     def overlapping(self) -> list[tuple[Row, Row]]:
-        """Rows of one joint of one robot that were recorded at the same time, copies aside."""
+        """Pairs of rows of one joint that were recorded at the same time, except for copies of a bag."""
         known = [row for row in self.rows if row.get("joint") and row.get("start") is not None]
         return [
             (one, other)
@@ -122,7 +122,7 @@ class Health:
 
 
 def limits_of(rows: Iterable[Row]) -> dict[tuple[str, str], float]:
-    """Limits that the rows themselves tell: accuracy, and the eccentricity of the assembly."""
+    """Limits in the rows themselves: accuracy, and the eccentricity that the assembly may have."""
     columns = ((ERROR, "accuracy_rad"), (ECCENTRICITY, "eccentricity_allowed_m"))
     return {
         (row["joint"], quantity): row[column]
@@ -152,7 +152,7 @@ def _joint(row: Row) -> tuple[str, str]:
 
 
 def _colour(row: Row, series: Sequence[Series], limits: Limits) -> Colour:
-    """The joint's light, or worse by a limit or a bag that is not whole."""
+    """The joint's light, made worse by a limit or an incomplete bag."""
     cut = (*missing(row), *left_out(row))
     if row.get("error"):
         return Colour(GREY, (row["error"], *cut), ())
@@ -167,7 +167,7 @@ def _colour(row: Row, series: Sequence[Series], limits: Limits) -> Colour:
 
 
 def _beside(one: Limited) -> tuple[str, str] | None:
-    """Colour and reason of a value that is not within its limit."""
+    """Colour and reason of a value that is not within its limit; None if it is."""
     limit, value = f"its limit of {size(one.limit, one.unit)}", si(one.value, one.std, one.unit)
     if one.place == "beyond":
         return RED, f"{words(one.quantity)} {value}, beyond {limit}"
@@ -179,7 +179,7 @@ def _beside(one: Limited) -> tuple[str, str] | None:
 
 
 def missing(row: Row) -> list[str]:
-    """What is unfinished about a row's bag or its joint in it, each as a sentence."""
+    """Sentences on what is unfinished about a row's bag, or missing of the joint in it."""
     name, own = PurePath(row["bag"]).name, [problem.split(": ", 1) for problem in row.get("problems") or []]
     reasons = [" ".join(("the bag" if parts[0] == name else parts[0], *parts[1:])) for parts in own]
     judged, whole = row.get("duration_s"), row.get("bag_duration_s") or 0.0
@@ -189,7 +189,7 @@ def missing(row: Row) -> list[str]:
 
 
 def left_out(row: Row) -> list[str]:
-    """That many samples of a row were refused, as a sentence."""
+    """A sentence if more than `_REFUSED` of a row's samples were refused."""
     refused = row.get("refused") or 0
     whole = refused + (row.get("samples") or 0)
     text = f"{refused} of {whole} samples are left out, the last because: {row.get('last_refusal')}"
@@ -197,11 +197,11 @@ def left_out(row: Row) -> list[str]:
 
 
 def _limited(row: Row, series: Series, limits: Limits) -> Limited | None:
-    """A series' value in a row beside its limit; None where it has none."""
+    """A series' value in a row with its limit; None if either is missing."""
     limit, at = limit_of(limits, series.joint, series.quantity), np.flatnonzero(series.time == began(row))
     if math.isnan(limit) or not at.size:
         return None
-    # A deviation of a model that does not describe the record says nothing of the gear.
+    # The deviation from a model that does not describe the record says nothing about the gear.
     unsure = series.quantity == ECCENTRICITY and row.get("judgement") == "misfit"
     std = math.nan if unsure else float(series.std[at[-1]])
     return Limited(series.quantity, float(series.value[at[-1]]), std, limit, series.unit)
@@ -218,7 +218,7 @@ def _standing(joint: tuple[str, str], own: Sequence[tuple[Row, Colour]], trends:
 
 
 def _order(one: Standing) -> tuple[int, bool, float, list[object], list[object]]:
-    """The worst first, then those that changed, then what is nearest to its limit."""
+    """Sort key: the worst first, then those that changed, then the nearest to a limit."""
     worst = one.nearest.value / one.nearest.limit if one.nearest else 0.0
     return LIGHTS.index(one.colour.state), not one.changes, -worst, natural(one.robot), natural(one.joint)
 

@@ -1,4 +1,4 @@
-"""What a run shows: JSON, and tables and sentences for people."""
+"""Output of a run: JSON, and tables and sentences for people."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from hd_diag.fleet.standing import Colour, Health, Standing, left_out, missing
 from hd_diag.fleet.trend import FALSE_ALARM, Trend
 from hd_diag.formatting import SCALES, json_ready, number, words
 
-_LINES = 24  # joints of a table for a terminal; those that are not green are never left out
+_LINES = 24  # joints in a terminal's table, beyond which green ones are left out
 _MONTH = 30.0 * 86400.0  # [s]
 
 
 def as_json(out: str, found: Health) -> dict[str, Any]:
-    """What `hd-diag fleet --json` writes, with the table's path: SI, times in ISO 8601 UTC."""
+    """Content of `hd-diag fleet --json`; `out` is the table's path. SI units, times in ISO 8601 UTC."""
     rows = found.rows
     content = {
         "schema": SCHEMA,
@@ -43,7 +43,7 @@ def as_json(out: str, found: Health) -> dict[str, Any]:
 
 
 def _with(rows: Sequence[Row], *names: str) -> list[dict[str, Any]]:
-    """These columns of the rows that have the first of them, with bag and joint."""
+    """Bag, joint and these columns of the rows in which the first column has a value."""
     shown = "bag", "joint", *names
     return [{name: readable(row.get(name)) for name in shown} for row in rows if row.get(names[0])]
 
@@ -116,7 +116,7 @@ def moment(time: float) -> str | None:
 
 
 def statement(trend: Trend) -> str:
-    """What a series says, in words."""
+    """A trend in words."""
     if trend.form == "unknown":
         return f"cannot tell yet: needs {trend.needed} bags, has {trend.series.value.size}"
     if trend.form == "constant":
@@ -160,7 +160,7 @@ def day(time: float) -> str:
 
 
 def headline(found: Health) -> str:
-    """How many joints have which state, what changed, and which bags are lost."""
+    """Numbers of joints by state, of those that changed, and of unusable or incomplete bags."""
     standings, rows = found.standings, [found.rows[n] for n in found.attention[0]]
     if not standings:
         return "No joint was found in any recording."
@@ -182,7 +182,7 @@ def headline(found: Health) -> str:
 
 
 def notes(found: Health) -> list[str]:
-    """What casts doubt on the whole: recordings of one joint at the same time."""
+    """Doubts about the whole run: recordings of one joint at the same time."""
     pairs = found.overlapping
     if not pairs:
         return []
@@ -200,7 +200,7 @@ def recorded(row: Row) -> str:
 
 
 def table(found: Health) -> Table:
-    """One line for each joint of each robot, the worst first; of many the green ones are left out."""
+    """One line for each joint of each robot, the worst first; beyond `_LINES` green ones are left out."""
     shown = [one for n, one in enumerate(found.standings) if n < _LINES or one.colour.state != GREEN]
     titles = ["robot", "joint", "state", "recorded", "error\narcsec", "eccentr.\nµm", "bags", "what"]
     first = 0 if any(one.robot for one in shown) else 1  # column
@@ -233,7 +233,7 @@ def _last(one: Standing, quantity: str) -> str:
 
 
 def _what(one: Standing, rows: Sequence[Row]) -> str:
-    """Causes with the number of bags, and what changes."""
+    """Causes with their numbers of bags, and the quantities that change."""
     counts = Counter(name for row in rows for name in row.get("causes") or [])
     most = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
     parts = [f"{words(name)} ({count})" for name, count in most]
@@ -242,7 +242,7 @@ def _what(one: Standing, rows: Sequence[Row]) -> str:
 
 
 def sentences(trends: Sequence[Trend]) -> list[str]:
-    """One for each series that changes."""
+    """A sentence for each series that changes."""
     return [
         f"{f'{t.series.robot} {t.series.joint}'.strip()}: {words(t.series.quantity)} {statement(t)}"
         for t in trends
@@ -251,7 +251,7 @@ def sentences(trends: Sequence[Trend]) -> list[str]:
 
 
 def attention_lines(row: Row, colour: Colour) -> list[str]:
-    """Why a row is not judged, and what is cut off, a line each, whatever its bag is called."""
+    """Why a row is not judged, what is cut off or refused: a line each, whatever the bag's name."""
     joint = f"{row['joint']}: " if row.get("joint") else ""
     date = f" ({recorded(row)})" if row.get("start") is not None else ""
     parts = [("cut off", problem) for problem in missing(row)] + [("refused", each) for each in left_out(row)]

@@ -99,7 +99,7 @@ COLUMNS = pa.schema(
 
 
 def write_table(path: Path, rows: Sequence[Row]) -> None:
-    """Write the rows as Parquet; raises OSError where they cannot be."""
+    """Write the rows as Parquet; raises OSError if they cannot be written."""
     stored = [{name: readable(value) for name, value in row.items()} for row in rows]
     for row in stored:
         row["start"] = row["start"] // 1000 if row.get("start") is not None else None

@@ -1,8 +1,8 @@
 """What changes over time: steps of the mean, drifts, and when a limit would be reached.
 
 A series with too few values for the question is ``unknown``. Steps have a p-value by permutation, drifts one
-by Kendall's rank correlation, corrected for the number of series (Benjamini and Hochberg, 1995): of a fleet
-in which nothing changes, a run reports anything with a chance of at most `FALSE_ALARM`. Permutations assume
+by Kendall's rank correlation, corrected for the number of series (Benjamini and Hochberg, 1995): if nothing
+changes in a fleet, a run reports anything with a chance of at most `FALSE_ALARM`. Permutations assume
 that the values of a constant series can be exchanged: their deviations may differ, but neighbouring bags must
 not resemble each other more than others do.
 """
@@ -21,15 +21,15 @@ from hd_diag.arrays import Floats
 from hd_diag.fleet.series import Series
 
 FALSE_ALARM = 0.05
-"""Chance that a run reports a change or a drift of anything where nothing changes."""
+"""Chance that a run reports any step or drift although nothing changes."""
 
 LEAST = 3
-"""Values in a segment between two steps, at least."""
+"""Least number of values in a segment between two steps."""
 
-_ENOUGH = 20  # permutations as clear as the series itself that settle a p-value
+_ENOUGH = 20  # permutations at least as clear as the series that suffice for a p-value
 _BOOTSTRAP = 400  # samples
-_TOGETHER = 999  # permutations
-_MOST = 200_000  # permutations
+_TOGETHER = 999  # permutations at a time
+_MOST = 200_000  # most permutations
 _HORIZON = 10.0  # a limit is not predicted beyond this many times the time observed
 
 
@@ -37,8 +37,9 @@ _HORIZON = 10.0  # a limit is not predicted beyond this many times the time obse
 class MeanShift:
     """A step of the mean.
 
-    Times of the last value before it and the first after it, and the 95 % interval of its own [s]; its size,
-    mean after less mean before, with a 95 % interval; its p-value against none between its neighbours.
+    `before` and `after` are the times of the last value before it and the first after it, `low` and `high`
+    the 95 % interval of its own time [s]. `size` is the mean after less the mean before, with a 95 %
+    interval. `p_value` is against no step between the neighbouring steps.
     """
 
     before: float
@@ -57,8 +58,9 @@ class Trend:
 
     With `needed` values the clearest possible step would be reported; each value has a weight. The p-values
     are against a constant, alone (p) and corrected for all series (q); nan with too few values. `line` is
-    Theil and Sen's by scipy [unit/s, unit], with times counted from the first. `crossing` is when the limit
-    is reached [s since 1970] with its 95 % interval, inf if that has no end; None if no drift leads there.
+    scipy's Theil–Sen line [unit/s, unit], with times counted from the first. `crossing` is the time when the
+    limit is reached [s since 1970], with its 95 % interval, inf if the interval has no end; None if no drift
+    leads there.
     """
 
     series: Series
@@ -82,13 +84,13 @@ class Trend:
 def trends(
     series: Sequence[Series], rng: np.random.Generator, tick: Callable[[], None] = lambda: None
 ) -> list[Trend]:
-    """What every series shows, beside all others, in the same order.
+    """Trends of all series, in the same order, with p-values corrected for their number.
 
-    `tick` is called before each: what it raises ends the work.
+    `tick` is called before each series: an exception from it ends the work.
     """
     tests = 2 * len(series)
     needed = least_values(tests)
-    most = min(math.ceil(_ENOUGH * tests / FALSE_ALARM), _MOST)  # resolves p-values as far as so many ask
+    most = min(math.ceil(_ENOUGH * tests / FALSE_ALARM), _MOST)  # resolves p-values for so many
     found = [Trend(one, needed, weights(one.value, one.std)) for one in series]
     tested: dict[int, tuple[float, float, float]] = {}
     for number, (one, trend) in enumerate(zip(series, found, strict=True)):
@@ -108,7 +110,7 @@ def trends(
 
 
 def _tested(trend: Trend, penalty: float, rng: np.random.Generator) -> Trend:
-    """The trend with what its corrected p-values, and the penalty of a step, say."""
+    """The trend with its form, changes and crossing, from corrected p-values and the penalty of a step."""
     series, weight, edges = trend.series, trend.weights, list[int]()
     if trend.step_q <= FALSE_ALARM:
         centered = series.value - np.average(series.value, weights=weight)
@@ -141,13 +143,13 @@ def least_values(tests: int) -> int:
 
 
 def weights(value: Floats, std: Floats) -> Floats:
-    """Inverse variances of values and deviations (n,), with what the values scatter beyond their deviations.
+    """Inverse of each value's variance (n,), which is its squared deviation plus the variance between bags.
 
-    Deviations that are nan or zero count as the median of the others; where none is known, all weights are
+    Deviations that are nan or zero count as the median of the others; if none is known, all weights are
     equal.
 
     DerSimonian and Laird (1986), Meta-analysis in clinical trials: the variance between bags from the
-    weighted sum of squares. It does not depend on the order, as permutations ask.
+    weighted sum of squares. It does not depend on the order, as permutations require.
     """
     known = np.isfinite(std) & (std > 0.0)
     if not known.any():
@@ -161,9 +163,9 @@ def weights(value: Floats, std: Floats) -> Floats:
 
 
 def gains(value: Floats, weight: Floats) -> Floats:
-    """By how much each single split of values (..., n) lowers the weighted sum of squares.
+    """Decrease of the weighted sum of squares by each single split of values (..., n).
 
-    Gives (..., n - 2 LEAST + 1) of splits before index `LEAST`, ..., n - `LEAST`.
+    Shape (..., n - 2 LEAST + 1), for splits before index `LEAST`, ..., n - `LEAST`.
     """
     centered = value - np.sum(weight * value, axis=-1, keepdims=True) / np.sum(weight, axis=-1, keepdims=True)
     count = np.cumsum(weight, axis=-1)
@@ -174,9 +176,9 @@ def gains(value: Floats, weight: Floats) -> Floats:
 
 
 def permuted(value: Floats, weight: Floats, most: int, rng: np.random.Generator) -> tuple[float, float]:
-    """p-value of the best split, and the gain that the best split of a constant series rarely exceeds.
+    """p-value of the best split, and the 1 - `FALSE_ALARM` quantile of its gain in a constant series.
 
-    Permutations go on until enough of them do as well or `most` are done (Besag and Clifford, 1991).
+    Permutations go on until enough of them gain as much or `most` are done (Besag and Clifford, 1991).
     """
     observed = float(gains(value, weight).max()) * (1.0 - 1e-9)
     exceeding, done, penalty = 0, 0, math.nan
@@ -190,14 +192,14 @@ def permuted(value: Floats, weight: Floats, most: int, rng: np.random.Generator)
 
 
 def segments(value: Floats, weight: Floats, penalty: float) -> list[int]:
-    """Indices of the first values after each change of the weighted mean; empty where it does not change.
+    """Indices of the first values after each change of the weighted mean; empty if it does not change.
 
-    The penalty is by how much the weighted sum of squares must fall for each change.
+    Each change must lower the weighted sum of squares by at least `penalty`.
 
     Killick, Fearnhead, Eckley (2012), Optimal detection of changepoints with a linear computational cost. A
     weighted mean is a regression of √w·value on √w.
     """
-    import ruptures  # here, because it takes a while to import
+    import ruptures  # imported late: it takes a while
 
     root = np.sqrt(weight)
     search = ruptures.Pelt(model="linear", min_size=LEAST, jump=1)
@@ -246,9 +248,10 @@ def _line_is_better(series: Series, weight: Floats, edges: list[int]) -> bool:
 
 
 def _crossing(series: Series, line: Any, rng: np.random.Generator) -> tuple[float, float, float] | None:
-    """When the line reaches the limit, with its interval by bootstrap of the residuals.
+    """Time when the line reaches the limit, with its interval by bootstrap of the residuals [s since 1970].
 
-    Those of so few values are too small, and their quantiles too near: both are widened as Student's t asks.
+    With few values the residuals are too small, and their quantiles too near: both are widened, the quantiles
+    as by Student's t.
     """
     if not (np.isfinite(series.limit) and line.slope > 0.0):
         return None

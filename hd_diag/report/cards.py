@@ -1,4 +1,4 @@
-"""What was found: a card for every cause and parameter, and the joint compared with its limits."""
+"""Cards for every cause and parameter that was found, and the joint compared with its limits."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from hd_diag.formatting import direction, si, size, spread_number, words
 _OWN = {effect.name: effect for effect in CATALOGUE}
 
 _SIGMAS = 2.0
-"""A number is on a card from so many standard deviations off zero or off its configured value."""
+"""Least distance from zero, or from the configured value, of a number on a card [standard deviations]."""
 
 _TOLD: dict[Beside, str] = {
     "within": "within",
@@ -31,17 +31,17 @@ _TOLD: dict[Beside, str] = {
 _USUAL = "Usual for a new gear"
 _WITHIN = "No limit is exceeded"
 
-_Entries = Mapping[str, Mapping[str, Any]]  # value, std, unit and configured of parameters
+_Entries = Mapping[str, Mapping[str, Any]]  # value, std, unit and configured value of parameters
 _Measures = tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True)
 class Card:
-    """One thing that was found: its part in the error [rad rms], the cause in a sentence, what to measure.
+    """One finding: its `size` in the error [rad rms], its cause in a sentence, and what to measure.
 
-    `inspect` says what to look at and which test would confirm it; alternatives are causes that look alike in
-    this record. For a `setting` the configured number may be wrong, not the joint. `usual` says why the card
-    asks for nothing; empty if it asks for something.
+    `inspect` says what to look at and which test would confirm the cause; `alternatives` are causes that look
+    alike in this record. For a `setting` the configured number may be wrong, not the joint. `usual` says why
+    no action is needed; empty if action is needed.
     """
 
     title: str
@@ -55,7 +55,7 @@ class Card:
 
 
 def cards(answer: Answer) -> list[Card]:
-    """Findings, then causes and parameters by their size: those two standard deviations off or more."""
+    """Findings, then causes and parameters at least two standard deviations off, the largest first."""
     diagnosis = answer.diagnosis
     effects = _OWN | {effect.name: effect for effect in diagnosis.catalogue}
     advice = {name: effect.inspect for name, effect in effects.items()}
@@ -65,7 +65,7 @@ def cards(answer: Answer) -> list[Card]:
     ]
     found = [card for cause in diagnosis.causes if (card := _of_cause(cause, advice))]
     kept = _kept(answer)
-    by_title: dict[str, Card] = {}  # both compliances are one
+    by_title: dict[str, Card] = {}  # both compliances share a card
     if diagnosis.refitted is not None:
         for change in answer.changes:
             card = _OF_PARAMETER[change.name](diagnosis.parameters, diagnosis.refitted.drive)
@@ -74,7 +74,7 @@ def cards(answer: Answer) -> list[Card]:
 
 
 def _kept(answer: Answer) -> str:
-    """Why parameters that are not as configured ask for nothing; empty if they ask for something."""
+    """Why parameters that are not as configured need no action; empty if they do."""
     places = [one.place for one in (answer.normal, answer.tolerance) if one is not None]
     return "" if "beyond" in places or "near" in places else _WITHIN
 
@@ -101,14 +101,14 @@ def _of_cause(cause: Cause, advice: Mapping[str, str]) -> Card | None:
 
 
 def _known(entry: Quantity, value: float, std: float) -> bool:
-    """Whether a size is two standard deviations off zero; a direction, that of a wave of such a size."""
+    """Whether a size is two standard deviations off zero, or a direction is as certain as such a wave's."""
     if entry.periodic is not None:
         return not std * math.tau / entry.periodic > 1.0 / _SIGMAS
     return not (entry.linear and abs(value) < _SIGMAS * std)
 
 
 def quantity(entry: Quantity, value: float, spread: float) -> str:
-    """The value of an effect's quantity; for a switch the words of its meaning, which may be none."""
+    """Text of an effect's quantity; for a switch the words of its meaning, which may be empty."""
     if entry.discrete and (entry.low, entry.high) == (0.0, 1.0):
         forms = dict(form.split(": ", 1) for form in re.split(r", (?=1: )", entry.meaning))
         return forms.get(f"{value:.0f}", "")
@@ -121,7 +121,7 @@ def quantity(entry: Quantity, value: float, spread: float) -> str:
 
 def _eccentricity(values: _Entries, drive: Drive) -> Card:
     magnitude, turned = values["eccentricity.magnitude"], values["eccentricity.direction"]
-    # Where the input stands when the long axis points along the eccentricity.
+    # Input angle at which the long axis points along the eccentricity.
     rate = drive.frame.turning
     angle, period = (turned["value"] - drive.frame.phase) / rate, math.pi / abs(rate)
     return Card(
@@ -216,7 +216,7 @@ def _beside(entry: Mapping[str, Any]) -> str:
 
 
 def _displacement(name: str, entry: Mapping[str, Any]) -> _Measures:
-    """A displacement, and what a dial gauge shows of it over a turn."""
+    """A displacement, and the travel of a dial gauge over a turn, which is twice as large."""
     travel = si(2.0 * entry["value"], 2.0 * entry["std"], "m")
     return (name, _beside(entry)), ("dial gauge, total travel", travel)
 
@@ -235,7 +235,7 @@ _OF_PARAMETER: dict[str, Callable[[_Entries, Drive], Card]] = {
 
 
 class Gauge(NamedTuple):
-    """A value beside its limit, in words; `share` of the limit that it has [-]."""
+    """A value compared with its limit, in words; `share` is value over limit [-]."""
 
     name: str
     state: Beside
@@ -244,7 +244,7 @@ class Gauge(NamedTuple):
 
 
 def gauges(answer: Answer) -> tuple[Gauge, ...]:
-    """Error and eccentricity beside their limits, as far as there is something to tell."""
+    """Error and eccentricity compared with their limits, as far as they are known."""
     found, allowed = [], answer.diagnosis.allowed
     if answer.normal is not None:
         name = "Transmission error without torsion, peak to peak"
@@ -256,5 +256,5 @@ def gauges(answer: Answer) -> tuple[Gauge, ...]:
 
 def _gauge(name: str, limit: str, one: Limited) -> Gauge:
     value, most = si(one.value, one.std, one.unit), size(one.limit, one.unit)
-    share = one.value / one.limit if one.limit > 0.0 else 2.0  # nothing is allowed: the end of the scale
+    share = one.value / one.limit if one.limit > 0.0 else 2.0  # a limit of zero: the end of the scale
     return Gauge(name, one.place, f"{value}; {limit} {most}: {_TOLD[one.place]}", share)

@@ -18,7 +18,7 @@ from hd_diag.report.stages import HIGH, LOW, BinnedResiduals
 _SPREAD = f"bands from the {100 * LOW:.0f} % to the {100 * HIGH:.0f} % quantile"
 _AGAINST = "Measured against simulated over"
 
-_Drawing = tuple[str, str, Any, str]  # name, title, figure, caption, which is the text alternative too
+_Drawing = tuple[str, str, Any, str]  # name, title, figure, caption (also the alternative text)
 
 
 def drawings(report: JointReport) -> Iterator[_Drawing]:

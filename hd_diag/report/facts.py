@@ -1,4 +1,4 @@
-"""The numbers of a report: all that its page says and draws, from a diagnosis or from a motion alone."""
+"""All numbers that the page of a report says and draws, from a diagnosis or from a motion alone."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ from hd_diag.report.cards import Card, Gauge, cards, gauges
 from hd_diag.report.stages import BinnedResiduals, Curve, OverTime, Rung, Stages, benches, curves, ladder
 from hd_diag.report.teeth import TeethOverTurn, teeth_over_turn
 
-_LINE_SHARE = 0.2  # of a cause's mean square: a larger peak of its spectrum is its order
-_LEAK = 0.1  # strength of a peak's side lobes that are no peaks of their own
+_LINE_SHARE = 0.2  # share of a cause's mean square above which a spectral peak is its order
+_LEAK = 0.1  # relative strength of side lobes that are not counted as peaks
 _MOST_MARKS = 2  # orders marked for one cause
 _NOT_OF_THE_DRIVE = ("output_joint", "limits.", "tolerance.", *SIGNALS)
-_ORDERS = (8.0, 40.0)  # least and greatest end of the spectrum
+_ORDERS = (8.0, 40.0)  # least and greatest upper end of the spectrum
 _TURN = 2.0 * np.pi
-_PART = 1 << 20  # of a file, read at a time [byte]
+_PART = 1 << 20  # part of a file read at a time [byte]
 
 
 class Fact(NamedTuple):
@@ -50,7 +50,7 @@ class Fact(NamedTuple):
 
 
 class Mark(NamedTuple):
-    """An order of the wave generator's turn that has a name; amplitude [rad]."""
+    """A named order of the wave generator's turn, with its amplitude [rad]."""
 
     order: float
     name: str
@@ -59,11 +59,11 @@ class Mark(NamedTuple):
 
 @dataclass(frozen=True)
 class Judgement:
-    """What measured angles add to the model's own side.
+    """The part of a report that needs measured angles.
 
-    The diagnosis without its fit, whose columns are large; `kind` is the judgement. `classes` are causes that
-    the record cannot tell from each other, `orders` order and amplitude [rad] of the residual by stage,
-    `stretches` how many the ladder's data were cut into.
+    `diagnosis` comes without its fit, whose columns are large; `kind` is the judgement. `classes` are causes
+    that the record cannot distinguish, `orders` are order and amplitude [rad] of the residual by stage,
+    `stretches` is the number of stretches in the ladder's data.
     """
 
     diagnosis: Diagnosis
@@ -85,11 +85,11 @@ class Judgement:
 
 @dataclass(frozen=True)
 class JointReport:
-    """One joint's part of a report; without a judgement where nothing could be judged.
+    """One joint's part of a report; `judgement` is None if nothing could be judged.
 
-    `said` is the headline, and a sentence for each thing more; `best` says whose numbers the teeth and the
-    torsion curve are: the refitted drive's or the configured's; `ripple` are the lines of the torque of a
-    joint with one angle.
+    `said` is the headline with further sentences. `best` is the drive of the teeth and the torsion curve:
+    ``refitted`` or ``configured``; without a judgement ``configured`` or ``extended``. `ripple` holds the
+    torque's lines of a joint with one angle.
     """
 
     name: str
@@ -105,12 +105,12 @@ class JointReport:
 
     @property
     def lines(self) -> list[str]:
-        """What is said of it in a terminal."""
+        """The joint's lines for a terminal."""
         return [self.advice.text, *self.said]
 
 
 def _weighed(found: Diagnosis) -> dict[str, Mapping[str, float]]:
-    """Log odds of what was weighed in the place of each cause, by names."""
+    """Log odds of the alternatives fitted in place of each cause, by the names of cause and alternative."""
     causes = (*found.causes, *found.hints)
     return {one.effect.name: one.standing.values for one in causes if len(one.standing.values) > 1}
 
@@ -146,7 +146,7 @@ def of_motion(
     reason: str,
     ripple: Ripple | None = None,
 ) -> JointReport:
-    """The model's side alone, over the motion in a bag; the reason is why nothing could be judged."""
+    """A joint's report from the model alone, over a bag's motion; `reason`: why nothing could be judged."""
     found = () if ripple is None else (ripple_sentence(ripple),)
     lost = (f"{line[:1].upper()}{line[1:]}." for line in motion.stamps.lines if line not in reason)
     drive, assumed = joint.drive, np.full(motion.time.size, joint.torque)
@@ -167,17 +167,17 @@ def of_motion(
 
 
 def _page(joint: JointConfig, flat: Mapping[str, Value]) -> Page | None:
-    """The joint's catalogue page, None where it has none."""
+    """The joint's catalogue page; None if it has none."""
     return page_of({p.name: flat.get(f"{joint.name}.{p.name}", p.default) for p in JOINT_PARAMETERS})
 
 
 def quality_of(
     time: Floats, input_angle: Floats, torque: Floats | None, ratio: float, bag: Integers
 ) -> list[Fact]:
-    """What stamps [s], angles [rad] and torque [N m], if measured, of a record say, shape (n,) each.
+    """Facts on a record's stamps [s], angles [rad] and, if measured, torque [N m], shape (n,) each.
 
-    `bag` says which recording each sample comes from; steps between two recordings, or between stamps that do
-    not rise, are left out; some must remain.
+    `bag` numbers the recording of each sample. Steps between two recordings, or between stamps that do not
+    rise, are left out; at least one step must remain.
     """
     rising = (np.diff(bag) == 0) & (np.diff(time) > 0.0)
     step = np.diff(time)[rising]
@@ -220,7 +220,7 @@ def settings(joint: JointConfig, flat: Mapping[str, Value]) -> tuple[Fact, ...]:
 
 
 def versions() -> tuple[Fact, ...]:
-    """What computed and drew a report."""
+    """Versions of the software that computed and drew a report."""
     found = [Fact(name, version or "not used") for name, version in running().items()]
     return (*found, *(Fact(name, metadata.version(name)) for name in ("matplotlib", "Jinja2")))
 
@@ -251,13 +251,13 @@ def _judgement(
 
 
 def _marks(diagnosis: Diagnosis) -> list[Mark]:
-    """Orders that causes and unexplained lines have in the wave generator's angle."""
+    """Orders of causes and unexplained lines in the wave generator's angle."""
     lines = [line for line in diagnosis.unexplained if line.frame == "input" and not line.description]
     marks = [Mark(line.order, "unexplained", line.amplitude) for line in lines]
     for cause in diagnosis.causes:
         assert diagnosis.found is not None
         fit = diagnosis.found.fit
-        # Columns after the cause's own are of what wanders, which is no order.
+        # Columns after the cause's own describe slow wandering, which has no order.
         columns = fit.columns(cause.effect, cause.nonlinear)[:, : cause.coefficients.size]
         part = columns @ cause.coefficients
         marks += _own_orders(fit.signals.wave_generator_angle, part, words(cause.effect.name))
@@ -265,7 +265,7 @@ def _marks(diagnosis: Diagnosis) -> list[Mark]:
 
 
 def _own_orders(angle: Floats, part: Floats, name: str) -> list[Mark]:
-    """Peaks that hold a good share of a cause's part; empty if it is not a sum of a few waves."""
+    """Strong spectral peaks of a cause's part of the error [rad]; empty if it is not a sum of a few waves."""
     order, strength = spectrum(angle, part, _ORDERS[1])
     strongest = peaks(strength, int(line_width(angle, _LEAK) / (order[1] - order[0])))[:_MOST_MARKS]
     least = _LINE_SHARE * float(np.var(part))
@@ -280,7 +280,7 @@ def _own_orders(angle: Floats, part: Floats, name: str) -> list[Mark]:
 
 
 def sources(bags: Sequence[Path]) -> list[Fact]:
-    """Every file of some bags with its SHA-256; OSError where one cannot be read."""
+    """Every file of some bags with its SHA-256; OSError if one cannot be read."""
     return [
         Fact(f"{bag.resolve().name}/{name}" if bag.is_dir() else name, f"SHA-256 {digest}")
         for bag in bags

@@ -1,4 +1,4 @@
-"""A report as one page of HTML: no network, no script, nothing out of a bag that is not escaped."""
+"""A report as one page of HTML: no network, no script, all text from a bag escaped."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ TERMS = {
 
 
 def page(reports: Sequence[JointReport], sources: Sequence[Fact]) -> str:
-    """HTML of a report, with files and their digests: the same for the same numbers, without a date."""
+    """HTML of a report, with its source files' digests. Equal numbers give equal pages: there is no date."""
     joints: list[dict[str, Any]] = []
     texts = [line for report in reports for line in report.lines]
     for report in reports:
@@ -110,7 +110,7 @@ def rendered(template: str, styles: str = "", **content: Any) -> str:
 
 
 def _shown(value: Any) -> Any:
-    """Text in which nothing is hidden: a name may hold control characters and marks that turn the line."""
+    """Text with hidden characters made visible: a name may hold control characters and direction marks."""
     return visible(value) if isinstance(value, str) and not hasattr(value, "__html__") else value
 
 

@@ -1,4 +1,4 @@
-"""A record beside the model in its stages, as configured, refitted and extended: binned, and as a ladder."""
+"""A record compared with the model as configured, refitted and extended: in bins, and as a ladder."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from hd_diag.report.teeth import strongest_torque
 NOMINAL, REFIT, EXTENDED = "as configured", "refitted", "extended"
 
 LOW, HIGH = 0.1, 0.9
-"""Quantiles between which a band's spread lies [-]."""
+"""Quantiles at both ends of a band [-]."""
 
 _REMAINDERS = "+ remainders"
-_LEAST = 5  # samples in a bin below which it gets no mean
+_LEAST = 5  # least number of samples for a bin's mean
 _ANGLE_BINS, _TORQUE_BINS = 72, 40
 _STRETCHES = 240
 _SPECTRUM_POINTS = 600
@@ -52,11 +52,11 @@ class Band(NamedTuple):
 
 @dataclass(frozen=True)
 class Stages:
-    """A record where the model's error is well defined, with the residual of each stage of the model.
+    """Samples of a record at which the model's error is well defined, with the residual of each model stage.
 
-    The wave generator's angle, the error measured, less the encoders' offset, and the residuals, measured
-    less simulated, have shape (n,) [rad]. The drive is the refitted one, or the configured one where nothing
-    was fitted.
+    The wave generator's `angle`, the `measured` error less the encoders' offset, and the residuals, measured
+    less simulated, have shape (n,) [rad]. `drive` is the refitted one, or the configured one if nothing was
+    fitted.
     """
 
     record: Record
@@ -67,7 +67,7 @@ class Stages:
 
 
 class BinnedResiduals(NamedTuple):
-    """Measured error and residuals in bins of an angle or a torque [rad]; the samples' torques [N m]."""
+    """Measured error and residuals in bins of an angle or a torque [rad]; least and greatest torque [N m]."""
 
     measured: Band
     residual: dict[str, Band]
@@ -76,7 +76,7 @@ class BinnedResiduals(NamedTuple):
 
     @property
     def simulated(self) -> dict[str, Floats]:
-        """Means over the very samples of each bin [rad]."""
+        """Simulated means over the same samples in each bin [rad]."""
         return {name: self.measured.mean - rest.mean for name, rest in self.residual.items()}
 
 
@@ -91,7 +91,7 @@ class OverTime(NamedTuple):
 def stages(diagnosis: Diagnosis, plain: LinearisedFit | None) -> Stages:
     """Residual of each stage of the model; `plain` is the fit to the whole record without causes."""
     rows = usable(diagnosis.record)
-    if plain is not None:  # which may leave out more
+    if plain is not None:  # the fit may leave out more
         rows = rows & plain.data.mask
     record, configured = diagnosis.record.select(rows), diagnosis.configured
     error = record.output_angle - record.input_angle / configured.kinematics.ratio
@@ -119,8 +119,8 @@ def mean_error(drive: Drive, torque: Floats) -> tuple[Floats, Floats, Floats]:
 def over_angle(found: Stages) -> BinnedResiduals:
     """Errors over the wave generator's angle, less the drive's mean over a turn at the same torque.
 
-    The ripple changes its sign with the torque: only torques of the stronger direction are taken, the middle
-    half of them.
+    The ripple changes its sign with the torque, so only the middle half of the torques in the stronger
+    direction is used.
     """
     torque, rows = found.record.torque, np.arange(found.record.size)
     way = torque > 0.0 if strongest_torque(torque) > 0.0 else torque < 0.0
@@ -143,7 +143,7 @@ def over_torque(found: Stages) -> BinnedResiduals:
 def _compared(
     found: Stages, rows: Integers, place: Floats, edges: Floats, level: Floats | float
 ) -> BinnedResiduals:
-    """Means of some rows in bins of a place; a level is subtracted from what was measured."""
+    """Means of some rows in bins of `place`; `level` is subtracted from the measured error [rad]."""
     torque = found.record.torque[rows]
     return BinnedResiduals(
         band(place, found.measured[rows] - level, edges),
@@ -175,7 +175,7 @@ def band(
 ) -> Band:
     """Means and spread of samples, shape (n,), in bins with rising edges, shape (bins + 1,).
 
-    The spread lies between two quantiles; a bin needs so many samples at least.
+    The spread lies between the quantiles `ends`. Bins with fewer than `least` samples get nan.
     """
     order = np.argsort(place, kind="stable")
     starts = np.searchsorted(place[order], edges)
@@ -188,14 +188,14 @@ def band(
 
 
 def envelope(place: Floats, value: Floats, stretches: int) -> Band:
-    """From the least to the greatest value over stretches of equal length; the place, shape (n,), rises."""
+    """Least and greatest values in stretches of equal length; `place`, shape (n,), must rise."""
     known = np.isfinite(value)
     edges = np.linspace(place[0], place[-1], stretches + 1)
     return band(place[known], value[known], edges, (0.0, 1.0), 1)
 
 
 def strongest(place: Floats, value: Floats, highest: float, count: int) -> tuple[Floats, Floats]:
-    """Places and values of the greatest in each of `count` equal intervals from 0 to `highest`."""
+    """Place and value of the greatest one in each of `count` equal intervals from 0 to `highest`."""
     index = np.minimum((place / highest * count).astype(np.int64), count - 1)
     order = np.lexsort((-value, index))
     first = order[np.unique(index[order], return_index=True)[1]]
@@ -206,7 +206,7 @@ def strongest(place: Floats, value: Floats, highest: float, count: int) -> tuple
 
 
 class Curve(NamedTuple):
-    """A remainder over what it follows, at points (k,) that rise: its name, unit, place and part [rad]."""
+    """A remainder over its variable, at k rising points: name, unit, place, and part of the error [rad]."""
 
     name: str
     unit: str
@@ -218,7 +218,7 @@ _UNITS = {"torque": "N m", "speed": "rad/s", "output_angle": "rad", "time": "s"}
 
 
 def curves(found: Solution) -> list[Curve]:
-    """The remainders that are large enough to be told; lines over the torque."""
+    """Remainders with an rms of at least `LEAST_SIZE`, each over the variable that it follows."""
     result = []
     for one in found.functions:
         if one.rms < LEAST_SIZE:
@@ -235,10 +235,10 @@ def curves(found: Solution) -> list[Curve]:
 
 
 class Rung(NamedTuple):
-    """One model of the ladder: rms residual of stretches predicted by a fit to all others [rad].
+    """One model of the ladder: rms residual of stretches that a fit to all others predicts [rad].
 
-    The gain is the share of the rung before's mean square that it explains; nan on the first. Intervals are
-    of 95 %.
+    `gain` is the share of the previous rung's mean square that this rung explains; nan on the first.
+    Intervals are 95 % intervals.
     """
 
     name: str
@@ -251,7 +251,7 @@ class Rung(NamedTuple):
 
 
 def benches(diagnosis: Diagnosis) -> list[LinearisedFit]:
-    """The record with each fitted rung's model, parameters settled; empty where nothing was fitted."""
+    """Linearised fit of each fitted rung's model, with refined parameters; empty if nothing was fitted."""
     if diagnosis.found is None or diagnosis.refitted is None:
         return []
     whole, start = diagnosis.found.fit, diagnosis.refitted.parameters
@@ -260,7 +260,7 @@ def benches(diagnosis: Diagnosis) -> list[LinearisedFit]:
 
 
 def _fitted(found: Solution) -> dict[str, Chosen]:
-    """What each fitted rung has: one cause or shape more than the one before; all remainders come last."""
+    """Effects of each fitted rung: one cause or shape more than in the rung before, last all remainders."""
     apart = tuple(one for one in found.chosen if not isinstance(one[0], Remainder))
     more = {f"+ {words(effect.name)}": apart[:count] for count, (effect, _) in enumerate(apart, 1)}
     return {REFIT: (), **more, **({_REMAINDERS: found.chosen} if len(apart) < len(found.chosen) else {})}
@@ -269,16 +269,16 @@ def _fitted(found: Solution) -> dict[str, Chosen]:
 def ladder(
     diagnosis: Diagnosis, nominal: Floats, fitted: list[LinearisedFit], rng: np.random.Generator
 ) -> list[Rung]:
-    """Rungs from the configured model (residual [rad]), over the benches', to the extended one.
+    """Rungs from the configured model, with residual `nominal` [rad], over the `fitted` ones to the extended.
 
-    Stretches are drawn for the intervals.
+    Intervals come from a bootstrap over stretches.
     """
     if diagnosis.found is None or not fitted:
         return []
     rungs = _fitted(diagnosis.found)
     names = [NOMINAL, *rungs]
     data = fitted[-1].data
-    shown = usable(diagnosis.record)[data.mask]  # the residual given has no others
+    shown = usable(diagnosis.record)[data.mask]  # the rows of `nominal`
     unseen = (_unseen(bench, chosen)[shown] for bench, chosen in zip(fitted, rungs.values(), strict=True))
     residuals = [nominal, *unseen]
     block = np.unique(data.block[shown], return_inverse=True)[1]
@@ -293,7 +293,7 @@ def ladder(
 
 
 def _unseen(bench: LinearisedFit, chosen: Chosen) -> Floats:
-    """Residual of every stretch by coefficients fitted to the others [rad]."""
+    """Residual of every stretch with coefficients fitted to the others [rad]."""
     columns = np.concatenate((bench.always(), bench.joined(chosen)), axis=1)
     rest = np.empty(bench.residual.size)
     for block, (_, _, others, towards) in enumerate(bench.design(chosen).blocks()):

@@ -17,11 +17,11 @@ _DIRECTIONS = 120  # around the gear
 _MOMENTS = 720  # of the record
 _STRONG = 99.0  # percentile of a record's torque for which the map is drawn
 _TURN = 2.0 * np.pi
-_FREE = 2.0 / 15.0  # backlash over module: beyond it a tooth is simply free: 40 um at 0.3 mm
+_FREE = 2.0 / 15.0  # backlash over module above which a tooth counts as free: 40 um at 0.3 mm
 
 
 class Extremes(NamedTuple):
-    """Of a record's moments: least backlash [m], greatest force [N], loaded flanks, overlap [m]."""
+    """Extremes in a record's moments: least backlash [m], greatest force [N], loaded flanks, overlap [m]."""
 
     moments: int
     least_backlash: float
@@ -35,12 +35,12 @@ class Extremes(NamedTuple):
 class TeethOverTurn:
     """Teeth over a turn of the input at one torque [N m].
 
-    The input's angles [rad] have shape (angles,), backlash, the lesser of both flanks [m], and load, their
-    sum [N], shape (angles, Z_R); `visited` says where the record was. `moment` is the index of the angle with
-    the greatest force on a tooth: teeth, long axis and the wave generator's displacement [m] have these
-    directions in the housing [rad] then. The least backlash [m] and the greatest load [N] of the whole turn
-    stand over directions, shape (directions,). The extremes are those of the record's own moments. A tooth of
-    this gear with a backlash of `free` [m] or more is far from any load.
+    `input_angle` [rad] has shape (angles,). `backlash`, the lesser of both flanks [m], and `load`, their sum
+    [N], have shape (angles, Z_R); `visited` marks the angles in the record. `moment` is the index of the
+    angle with the greatest force on a tooth. At that moment the teeth, the long axis and the wave generator's
+    `displacement` [m] have the given directions in the housing [rad]. `least_backlash` [m] and
+    `greatest_load` [N] of the whole turn are given over `direction`, shape (directions,). `extremes` are
+    those of the record's own moments. A tooth with a backlash of `free` [m] or more is far from any load.
     """
 
     torque: float
@@ -68,14 +68,14 @@ def strongest_torque(torque: Floats) -> float:
 
 def teeth_over_turn(drive: Drive, input_angle: Floats, torque: Floats) -> TeethOverTurn:
     """Teeth under the strongest of a record's torques [N m]; angles as reported [rad], shape (n,) both."""
-    from scipy.stats import binned_statistic  # late: it takes half a second
+    from scipy.stats import binned_statistic  # imported late: it takes half a second
 
     frame, geometry, strong = drive.frame, drive.mesh.geometry, strongest_torque(torque)
     angle = _TURN * (np.arange(_ANGLES) + 0.5) / _ANGLES
     state = mesh_state(drive, angle, frame.cup_torque(np.full(_ANGLES, strong)))
     backlash, load = np.fmin(state.backlash[:, 0], state.backlash[:, 1]), state.load.sum(axis=1)
     turned, teeth = frame.wave_generator_angle(angle), geometry.flexspline_teeth
-    # Where the teeth stand in the housing, shape (angles, teeth) [rad]; their bending is left out.
+    # Directions of the teeth in the housing, shape (angles, teeth) [rad], without their bending.
     cup = -turned[:, None] * ((geometry.circular_spline_teeth - teeth) / teeth)
     place = np.mod(cup + _TURN * np.arange(teeth) / teeth, _TURN)
     at = int(np.argmax(load.max(axis=1)))
@@ -101,7 +101,7 @@ def teeth_over_turn(drive: Drive, input_angle: Floats, torque: Floats) -> TeethO
 
 
 def _extremes(drive: Drive, input_angle: Floats, torque: Floats) -> Extremes:
-    """What the record's own angles and torques did to the teeth; of many moments, evenly spaced ones."""
+    """Extremes at the record's own angles and torques, for at most `_MOMENTS` evenly spaced moments."""
     rows = np.unique(np.linspace(0, input_angle.size - 1, _MOMENTS).astype(np.int64))
     state = mesh_state(drive, input_angle[rows], drive.frame.cup_torque(torque[rows]))
     return Extremes(

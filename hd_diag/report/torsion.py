@@ -17,16 +17,16 @@ _BINS = 32
 _NODES = 61
 _BLOCKS = 24
 _DRAWS = 1000
-_LEAST_REACH = 0.3  # share of a range that the torque must cover for a stiffness in it
+_LEAST_REACH = 0.3  # share of a torque range that the record must cover to measure its stiffness
 _LEAST_SAMPLES = 200
 
 
 @dataclass(frozen=True)
 class Stiffness:
-    """Torsional stiffness [N m/rad] within a range of torque [N m]; nan where it is not known.
+    """Torsional stiffness [N m/rad] within a range of torque [N m]; nan if it is not known.
 
-    Configured and fitted are secants of the simulated curves, averaged over the angle; measured is the slope
-    of the measured error on the torque, with its 95 % interval. `page` is that of the catalogue page.
+    `configured` and `fitted` are secants of the simulated curves, averaged over the angle; `measured` is the
+    inverse slope of the measured error over the torque, with its 95 % interval. `page` is the catalogue's.
     """
 
     name: str
@@ -41,7 +41,7 @@ class Stiffness:
 
 
 def k_shown(stiffness: float) -> str:
-    """A stiffness [N m/rad] in 10⁴ N m/rad, as a catalogue gives it, with a digit more."""
+    """Text of a stiffness [N m/rad] in 10⁴ N m/rad, as in a catalogue, with one more digit."""
     return number(1e-4 * stiffness)
 
 
@@ -49,9 +49,9 @@ def k_shown(stiffness: float) -> str:
 class Torsion:
     """Transmission error [rad] over torque [N m].
 
-    Configured and fitted are means over the angle, shape (nodes,), with the least and the greatest of the
-    fitted drive. Measured holds the errors while the torque rises and falls, empty where it was not measured;
-    extended the means of that model over the same samples, empty without causes.
+    `configured` and `fitted` are means over the angle, shape (nodes,); `low` and `high` are the least and the
+    greatest of the fitted drive. `measured` holds the errors at rising and at falling torque, empty if they
+    were not measured. `extended` holds that model's means over the same samples, empty without causes.
     """
 
     torque: Floats
@@ -65,7 +65,7 @@ class Torsion:
 
 
 def simulated(configured: Drive, fitted: Drive, most: float, page: Page | None) -> Torsion:
-    """The curve of the model alone, up to a torque [N m]; T1 and T2 are the page's or shares of the rated."""
+    """Curve of the model alone, up to a torque [N m]; T1 and T2 are the page's or shares of the rated one."""
     torque = most * np.linspace(-1.0, 1.0, _NODES)
     rated = configured.rated_torque
     ends = stiffness_steps(*((page.t1, page.t2) if page else (T1_SHARE * rated, T2_SHARE * rated)))
@@ -85,7 +85,7 @@ def _secants(drive: Drive, ends: Floats) -> Floats:
 
 
 def measured(found: Stages, configured: Drive, rng: np.random.Generator, page: Page | None) -> Torsion:
-    """The measured curve beside the simulated ones; blocks are drawn for the intervals of the stiffness."""
+    """Measured and simulated curves; intervals of the stiffness come from a bootstrap over blocks."""
     record, torque = found.record, found.record.torque
     alone = simulated(configured, found.drive, max(float(np.max(np.abs(torque))), 1.0), page)
     if not record.has_torque:
@@ -103,7 +103,7 @@ def measured(found: Stages, configured: Drive, rng: np.random.Generator, page: P
 
 
 def _with_slope(entry: Stiffness, found: Stages, rng: np.random.Generator) -> Stiffness:
-    """The stiffness with what was measured, both directions together, each with its own zero."""
+    """The stiffness with its measured value, from both directions together, each with its own zero."""
     load = np.abs(found.record.torque)
     inside = (load >= entry.low) & (load <= entry.high)
     if inside.sum() < _LEAST_SAMPLES or np.ptp(load[inside]) < _LEAST_REACH * (entry.high - entry.low):

@@ -1,1 +1,1 @@
-"""The live edge: the rclpy node and the writer of its log."""
+"""The rclpy node and the writer of its log."""

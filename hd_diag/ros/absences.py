@@ -1,4 +1,4 @@
-"""Why joints have no samples, where the node knows more than messages tell: who publishes what."""
+"""Why joints get no samples, as far as the ROS graph shows it: who publishes which topic."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from hd_diag.monitor.absence import absence_of, missing
 from hd_diag.monitor.settings import JointConfig
 from hd_diag.ros.subscriptions import Reader, SignalInput, SignalTopic
 
-_SHOWN = 5  # topics, nodes
+_SHOWN = 5  # topics or nodes in a list
 
 
 def absences(
     node: Node, inputs: Sequence[tuple[SignalInput, Reader]], joints: Sequence[JointConfig]
 ) -> dict[str, str]:
-    """Facts about joints that get nothing from their input's topic, or nothing with the configured name."""
+    """Facts for the diagnostics on joints whose input topic is silent or lacks the configured name."""
     found, now = {}, time.monotonic()
     by_topic = {each.source.topic: (each, reader) for each, reader in inputs}
     for joint in joints:
@@ -34,7 +34,7 @@ def absences(
 
 
 def _quiet(node: Node, source: SignalTopic) -> str:
-    """That nothing arrives on a topic; who publishes it, or where else the type is published."""
+    """Text on a silent topic: who publishes it, or which other topics carry its type."""
     topic, kind = source.topic, source.type_name
     infos = [i for i in node.get_publishers_info_by_topic(topic) if i.topic_type == kind]
     if infos:

@@ -19,9 +19,9 @@ class UsageError(Exception):
 
 
 def check_arguments(arguments: Sequence[str], config_file: str = "") -> dict[str, list[str]]:
-    """Sections of each parameter file; raises UsageError for words and files that cannot be used.
+    """Sections of each parameter file; raises UsageError for unusable arguments and files.
 
-    That of the configuration, which is read in every namespace, counts as for any node.
+    The configuration is read in every namespace, so its section ``hd_diag`` is listed as ``/**``.
     """
     unknown = remove_ros_args(list(arguments))[1:]
     if unknown:
@@ -40,10 +40,9 @@ def check_arguments(arguments: Sequence[str], config_file: str = "") -> dict[str
 
 @contextlib.contextmanager
 def read_in_every_namespace(arguments: Sequence[str], config_file: str) -> Iterator[list[str]]:
-    """The arguments with a copy of the configuration that ROS takes for this node, whatever it is called.
+    """The arguments, with the configuration replaced by a copy that ROS reads for a node of any name.
 
-    Of a section ``hd_diag`` it would take nothing, without a word, where the node has a namespace or another
-    name.
+    ROS silently ignores a section ``hd_diag`` if the node has a namespace or another name.
     """
     if not config_file:
         yield [*arguments]
@@ -60,7 +59,7 @@ def parameter_files(arguments: Sequence[str]) -> list[Path]:
 
 
 def unread(sections: Mapping[str, Sequence[str]], node: str) -> list[str]:
-    """What is to say of parameter files with no section for a node, which ROS takes without a word."""
+    """Warnings on parameter files without a section for a node; ROS accepts them silently."""
     return [
         visible(f"{file} has no section for {node}, but {', '.join(sorted(given)) or 'nothing'}")
         for file, given in sections.items()
@@ -69,7 +68,7 @@ def unread(sections: Mapping[str, Sequence[str]], node: str) -> list[str]:
 
 
 def reason(arguments: Sequence[str], error: Exception) -> str:
-    """Why the node cannot start: the parameter file's own fault where it has one, which rcl words badly."""
+    """Why the node cannot start. A parameter file's own error comes first: rcl words it badly."""
     for file in parameter_files(arguments) if not isinstance(error, UsageError) else []:
         try:
             load(file)

@@ -1,4 +1,4 @@
-"""A diagnosis of the log's last minutes in a process of its own, one at a time, at low priority."""
+"""Diagnoses the log's last minutes in a separate process, one at a time, at low priority."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from hd_diag.config import parameter_file
 from hd_diag.config.configuration import Config
 from hd_diag.formatting import visible
 
-# Least priority: samples come first. The system ends it where the node is killed and cannot.
+# Lowest priority: samples come first. If the node is killed, the kernel ends the process.
 _BENEATH = ("nice", "-n", "19", "setpriv", "--pdeathsig", "TERM")
-_ENDINGS = (".json", ".html", ".txt")  # of the verdict, the page, and what the command said
-_PATIENCE = 5.0  # for a process that is told to end [s]
+_ENDINGS = (".json", ".html", ".txt")  # verdict, page, output of the command
+_PATIENCE = 5.0  # from SIGTERM to SIGKILL [s]
 _LONGEST = 500  # characters of a verdict or a reason
 
 Files = Callable[[], Sequence[Path] | None]
@@ -31,14 +31,14 @@ Files = Callable[[], Sequence[Path] | None]
 class DiagnosisRun:
     """Runs ``hd-diag diagnose`` on files and publishes its JSON.
 
-    `facts` tell the state, and of each joint its last verdict with its time. A process that fails, or is
-    killed, is told there and in the node's output.
+    `facts` hold the state, and each joint's last verdict with its time. If a process fails or is killed,
+    `facts` and the node's output say so.
     """
 
     def __init__(self, publish: Callable[[str], Any], logger: Any) -> None:
         self._publish, self._logger = publish, logger
         self._process: subprocess.Popen[bytes] | None = None
-        self._stem: Path | None = None  # of what is written; there is one while a diagnosis is wanted
+        self._stem: Path | None = None  # of the output files; None: no diagnosis is wanted
         self._at = 0.0
         self._kept = ExitStack()  # files that nobody may delete while they are read
         self._facts: dict[str, str] = {"diagnosis_state": "none"}
@@ -54,7 +54,7 @@ class DiagnosisRun:
         return self._facts
 
     def ask(self, bag: Path, at: float) -> str:
-        """Want a diagnosis from a time on (``time.monotonic``) [s]; where its JSON will be, beside a bag."""
+        """Request a diagnosis, not before a ``time.monotonic`` [s]; return its JSON's path, beside a bag."""
         name = f"verdict_{time.strftime('%Y-%m-%d_%H-%M-%S')}"
         self._stem = bag.with_name(f"{bag.stem}_{name}") if bag.suffix else bag / name
         self._at = at
@@ -62,7 +62,7 @@ class DiagnosisRun:
         return f"{self._stem}.json"
 
     def look(self, config: Config, files: Files) -> None:
-        """Begin what is wanted once its files are there; take in what has ended."""
+        """Begin the requested diagnosis once its files are there; collect it once it has ended."""
         if self._stem is None or time.monotonic() < self._at:
             return
         try:
@@ -77,7 +77,7 @@ class DiagnosisRun:
             self.fail(str(error))
 
     def close(self) -> None:
-        """End the process, and those that it has begun."""
+        """End the process and its children."""
         self._kept.close()
         if self._process is None or self._process.poll() is not None:
             return
@@ -92,7 +92,7 @@ class DiagnosisRun:
         if not (files := self._keep(files)):
             raise BagError(stem, "there is no file of the log to diagnose")
         own = stem.with_name(f"{stem.name}.yaml")
-        stem.parent.mkdir(parents=True, exist_ok=True)  # the log's own folder ages as well
+        stem.parent.mkdir(parents=True, exist_ok=True)  # the log's folder may have been deleted as old
         own.write_text(_configuration(stem, config), encoding="utf-8")
         self._keep([own])
         places = [str(stem.with_name(f"{stem.name}{ending}")) for ending in _ENDINGS]
@@ -109,18 +109,18 @@ class DiagnosisRun:
         self._tell(f"diagnoses {len(files)} file{'s' * (len(files) > 1)}: {places[0]}")
 
     def _keep(self, files: Sequence[Path]) -> list[Path]:
-        """Those of some files that are still there; until this ends the log deletes none of them."""
+        """The files that still exist, locked so that the log does not delete them during the diagnosis."""
         there = []
         for file in files:
             with suppress(FileNotFoundError):
                 opened = self._kept.enter_context(file.open("rb"))
                 there.append(file)
-                with suppress(BagError):  # somebody writes it, and keeps it
+                with suppress(BagError):  # its writer holds the lock, and keeps the file
                     lock(opened.fileno(), file)
         return there
 
     def _take(self, stem: Path, code: int) -> None:
-        """Publish what a process has found, or tell why it found nothing."""
+        """Publish a process's result; ValueError with the reason if there is none."""
         if code < 0:
             raise ValueError(f"was ended by {signal.Signals(-code).name}")
         place = stem.with_name(f"{stem.name}.json")
@@ -137,7 +137,7 @@ class DiagnosisRun:
         self._tell(f"done: {place}")
 
     def fail(self, reason: str) -> None:
-        """End it and tell why."""
+        """End the diagnosis and report the reason."""
         with suppress(ProcessLookupError):
             self.close()
         self._process = self._stem = None
@@ -150,7 +150,7 @@ class DiagnosisRun:
 
 
 def _configuration(stem: Path, config: Config) -> str:
-    """Text of a parameter file with the node's present values; the models in force lie next to it."""
+    """Text of a parameter file with the node's present values; the models in force are written beside it."""
     flat = dict(config.flat)
     for joint in config.joints:
         if joint.model is not None:

@@ -1,4 +1,4 @@
-"""Faults of the joints' reports that begin: which are new, and what the node's console says of them."""
+"""Which faults in the joints' reports are new, and how the node's console announces them."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from hd_diag.monitor.publications import Status
 
 OF_NO_JOINT = {"LOG_FAILED", "OK"}
 
-_CALM = 5.0  # without a fault, after which the console takes it for over [s]
+_CALM = 5.0  # time without a fault after which the console calls it over [s]
 _LONGEST = 500  # characters of a line
 
 
 class Beginnings:
-    """Which of what joints report begins; what comes back within some time [s] is the same that goes on."""
+    """Finds new faults in joints' reports; a fault that returns within `pause` [s] is the same one."""
 
     def __init__(self, pause: float) -> None:
         self._pause = pause
-        self._ended: dict[str, dict[Hashable, float]] = {}  # of each joint and fault; infinity while it lasts
+        self._ended: dict[str, dict[Hashable, float]] = {}  # end by joint and fault; inf while it lasts
 
     def of(self, joint: str, found: Iterable[Hashable]) -> set[Hashable]:
-        """What begins, of all that a report of a joint has."""
+        """The new ones among the faults in a joint's report."""
         now, reported, ended = time.monotonic(), {*found}, self._ended.setdefault(joint, {})
         begun = {each for each in reported if now - ended.get(each, -math.inf) > self._pause}
         ended.update({each: min(ended[each], now) for each in ended.keys() - reported})
@@ -32,20 +32,20 @@ class Beginnings:
         return begun
 
     def is_over(self, joint: str) -> bool:
-        """Whether nothing of a joint lasts, or could still come back as the same."""
+        """Whether a joint has had no fault for longer than the pause."""
         last = max(self._ended.get(joint, {}).values(), default=-math.inf)
         return time.monotonic() - last > self._pause
 
 
 class Console:
-    """Says in a node's output when a joint has a fault, another or a worse one, and when it has none."""
+    """Prints in the node's output when a joint gets a new or a worse fault, and when it has none again."""
 
     def __init__(self, logger: Any) -> None:
         self._logger, self._begun = logger, Beginnings(_CALM)
-        self._told: set[str] = set()  # joints whose fault was said
+        self._told: set[str] = set()  # joints whose fault was announced
 
     def follow(self, statuses: Sequence[Status]) -> None:
-        """Look at a report."""
+        """Announce what a report changes."""
         for joint, level, message, values in statuses:
             code = values["fault_code"]
             levels = range(1, level + 1) if code not in OF_NO_JOINT else ()
@@ -57,7 +57,7 @@ class Console:
                 self._logger.info(f"{joint}: OK, no fault for {_CALM:g} s")
 
     def _say(self, level: int, text: str) -> None:
-        if level > 1:  # each severity needs a line of its own, or rclpy raises
+        if level > 1:  # two calls: rclpy raises if one call changes its severity
             self._logger.error(visible(text, _LONGEST))
         else:
             self._logger.warning(visible(text, _LONGEST))

@@ -1,4 +1,4 @@
-"""The node's log: everything that went in and came out, and every event that the outputs depend on."""
+"""The node's log: its inputs, its outputs, and every event that the outputs depend on."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from hd_diag.config.configuration import LogConfig
 from hd_diag.formatting import visible
 from hd_diag.messages.schemas import Definition
 
-# Time from a failure to the next attempt [s]: it doubles, and starts again after a log that lasted.
+# Pause after a failure [s]: it doubles from the shortest to the longest; a log that lasts resets it.
 _SHORTEST, _LONGEST, _LASTING = 1.0, 30.0, 60.0
-_POURING = 0.01  # longest that the memory is written at once [s]
-_PARTS = 10  # least number of files of a log that has a largest size or age
+_POURING = 0.01  # longest time spent at once on writing the memory [s]
+_PARTS = 10  # least number of files within a log's size or age limit
 
 
 class LogWriter:
-    """A log that never stops its owner: what goes wrong with it is shown by `state`, and it goes on later.
+    """A log that never stops its owner: `state` shows a failure, and the log continues later.
 
-    It needs the definitions of types that ROS 2 Jazzy does not have, by name. The state is ``off``, ``keeping
-    the last ... s``, ``writing PATH`` or ``failed: REASON``. Each recording is a bag; with `overwrite` the
-    first has a fixed name, and one that exists is replaced at the start alone: what lies there later may be
-    another's. `bags` are those of this start.
+    `definitions` are those of types that ROS 2 Jazzy lacks, by name. The state is ``off``, ``keeping the last
+    ... s``, ``writing PATH`` or ``failed: REASON``. Each recording is a bag. With `overwrite` the first bag
+    has a fixed name; an existing bag is replaced only at the start, because a later one may be somebody
+    else's. `bags` are those written since the start.
 
-    In the mode ``snapshot`` a recording begins with what the memory holds. It is written little by little,
-    and what comes meanwhile waits behind it.
+    In the mode ``snapshot`` a recording begins with the memory's messages. They are written little by little;
+    new messages wait behind them.
     """
 
     def __init__(self, config: LogConfig, definitions: Mapping[str, Definition] | None = None) -> None:
@@ -42,10 +42,10 @@ class LogWriter:
         self._idle = f"keeping the last {config.before:g} s" if config.mode == "snapshot" else "off"
         self.state = self._idle if config.path else "off"
         self.bags: list[Path] = []
-        self._with_input: dict[Path, None] = {}  # files in which something received stands, in order
-        self._has_input = False  # the open one
+        self._with_input: dict[Path, None] = {}  # files that hold received messages, in order
+        self._has_input = False  # whether the open file is one of them
         self._writer: BagWriter | None = None
-        self._until = -math.inf  # end of the recording, if there is one
+        self._until = -math.inf  # end of the recording; -inf without one
         self._given = self._lost = 0
         self._again_at, self._pause, self._began = math.inf, 0.0, time.monotonic()
         if config.path and config.mode == "continuous":
@@ -54,7 +54,7 @@ class LogWriter:
 
     @property
     def facts(self) -> dict[str, str]:
-        """For the diagnostics: the state, messages lost because it failed, why old files stay too long."""
+        """For the diagnostics: state, messages lost by failures, why old files stay too long, memory used."""
         written = sum(self._writer.counts.values()) if self._writer else 0
         return {
             "log_state": self.state,
@@ -71,13 +71,13 @@ class LogWriter:
 
     @property
     def will_end(self) -> bool:
-        """Whether what is being written will be whole soon: a snapshot, or what the memory held."""
+        """Whether the recording is soon complete: it has an end, or the memory is still being written."""
         return self.is_recording and (bool(self._memory) or self._until < math.inf)
 
     def record(self, seconds: float = math.inf) -> bool:
-        """Write from the memory's beginning, or else from now on, for some seconds at least.
+        """Record for at least some seconds, from the memory's beginning or, if it is empty, from now on.
 
-        True where the owner then writes all that a replay needs. BagError where there is no place for it.
+        If True, the owner must then write all that a replay needs. BagError if no path is configured.
         """
         if not self._config.path:
             raise BagError("log.path", "is empty: there is no place for a log")
@@ -87,7 +87,7 @@ class LogWriter:
         return not was and not self._memory
 
     def stop(self) -> None:
-        """End the recording, once what the memory held is written."""
+        """End the recording once the memory is written."""
         if self.is_recording:
             self._until = time.monotonic()
 
@@ -103,7 +103,7 @@ class LogWriter:
         times: Sequence[int],
         qos: Qos | None = None,
     ) -> None:
-        """Write messages of one topic that are taken together, each with its own time, as `write`."""
+        """Write messages of one topic at once, each with its own time [ns]."""
         if self._memory or not self.is_recording:
             for data, at in zip(rows, times, strict=True):
                 self._keep(Received(topic, type_name, data, at, qos))
@@ -111,11 +111,11 @@ class LogWriter:
             self._write(topic, type_name, rows, times, qos)
 
     def _keep(self, message: Received) -> None:
-        """Put it into the memory; what gives way there is lost to a recording that has begun."""
+        """Put a message into the memory. During a recording, messages that give way to it are lost."""
         gone = self._memory.put(message)
         if gone and self.is_recording:
             self._lost += gone
-            if not self._memory and self._again_at == math.inf:  # what comes next needs a new beginning
+            if not self._memory and self._again_at == math.inf:  # fail, to begin a new file later
                 self._attempt(self._overflow)
 
     def _overflow(self) -> None:
@@ -133,12 +133,12 @@ class LogWriter:
             self._attempt(lambda: writer.write_some(topic, type_name, rows, times, qos, known))
 
     def write_outputs(self, topic: str, type_name: str, rows: Sequence[bytes], times: Sequence[int]) -> None:
-        """Write messages that others get too, unless the log is for what a replay needs alone."""
+        """Write published messages, unless the log holds only what a replay needs."""
         if self._config.topics == "all":
             self.write_some(topic, type_name, rows, times)
 
     def flush_if_due(self) -> bool:
-        """Write what has waited for the flush period; True where logging goes on in a new file."""
+        """Write messages older than the flush period; True if logging begins again, in a file or memory."""
         if self._config.path:
             self._attempt(lambda: self._retention.look(self._writer, time.monotonic()))
         if self._again_at == math.inf:
@@ -153,9 +153,9 @@ class LogWriter:
         return self._again_at == math.inf and not self._memory
 
     def split_if_due(self, now: int, at_once: bool = False) -> bool:
-        """Go on in a new file, or part of the memory, if this one is large or, at a log time [ns], long.
+        """Begin a new file or memory part if the present one is too large or, at a log time [ns], too long.
 
-        If True, its owner then writes all that a replay of it needs.
+        `at_once` begins a new file in any case. If True, the owner must then write all that its replay needs.
         """
         if not self.is_recording:
             is_due = self._config.mode == "snapshot" and bool(self._config.path) and self._memory.is_due(now)
@@ -173,7 +173,7 @@ class LogWriter:
         return self._again_at == math.inf
 
     def finished(self, since: float) -> list[Path]:
-        """Files of this start that hold inputs, are finished, and changed after a time [s since 1970]."""
+        """Finished files since the start that hold inputs and changed after a time [s since 1970]."""
         open_file = self._writer.paths[-1] if self._writer is not None else None
         found, others = [], {open_file, *self._retention.going}
         for file in self._with_input:
@@ -183,7 +183,7 @@ class LogWriter:
         return found
 
     def close(self) -> None:
-        """Finish the file, with what the memory holds where a recording has begun."""
+        """Finish the file; during a recording the memory is written first."""
         while self.is_recording and self._memory and self._again_at == math.inf:
             self._pour()
         self._close()
@@ -200,7 +200,7 @@ class LogWriter:
         self._has_input = False
 
     def _has_ended(self) -> bool:
-        """End the recording where it is time; True where the memory begins again."""
+        """End a recording that is due; True if the memory begins again."""
         if not self.is_recording or self._memory or time.monotonic() < self._until:
             return False
         self._close()
@@ -209,7 +209,7 @@ class LogWriter:
         return bool(self._memory)
 
     def _pour(self) -> None:
-        """Write a part of what the memory holds."""
+        """Write a part of the memory."""
         end = time.monotonic() + _POURING
         while self._memory and self._again_at == math.inf and time.monotonic() < end:
             for topic, type_name, data, at, qos in self._memory.take():
@@ -235,7 +235,7 @@ class LogWriter:
             self._writer.resume()
             self.state = f"writing {visible(str(self._writer.paths[-1]))}"
             if self._memory:
-                self._lost += self._memory.drop()  # the new file begins where a replay can
+                self._lost += self._memory.drop()  # the new file must begin where a replay can
         self._again_at, self._began = math.inf, time.monotonic()
 
     def _attempt(self, action: Callable[[], object]) -> None:
@@ -250,5 +250,5 @@ class LogWriter:
 
 
 def _shortest(*limits: float) -> float:
-    """The least of those that are limits, 0 where none is."""
+    """The least of the limits that are set; 0 if none is."""
     return min((limit for limit in limits if limit), default=0)

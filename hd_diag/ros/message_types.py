@@ -1,4 +1,4 @@
-"""Message types that are installed: their classes, and definitions for the log and for reading fields."""
+"""Installed message types: their classes, and their definitions for the log and for reading fields."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _NO_FIELDS = "uint8 structure_needs_at_least_one_member"
 
 
 def message_class(type_name: str) -> Any:
-    """Class of a message type, ``package/msg/Name``; ConfigError where it is not installed."""
+    """Class of a message type, ``package/msg/Name``; ConfigError if it is not installed."""
     package, _, name = type_name.split("/")
     try:
         module = importlib.import_module(f"{package}.msg")
@@ -36,7 +36,7 @@ def definition_of(type_name: str) -> Definition:
 
 
 def definition_by_class(type_name: str) -> Definition:
-    """As `definition_of`, from what the installed classes say of their fields."""
+    """As `definition_of`, built from the fields of the installed classes."""
     parts: dict[str, str] = {}
     wanted = [type_name]
     while wanted:
@@ -52,7 +52,7 @@ def definition_by_class(type_name: str) -> Definition:
 
 
 def _type(text: str) -> str:
-    """A field's type as message files have it."""
+    """A field's type in the notation of message files."""
     if found := _SEQUENCE.fullmatch(text):
         return f"{_type(found[1])}[{f'<={found[2]}' if found[2] else ''}]"
     if found := _ARRAY.fullmatch(text):

@@ -62,22 +62,22 @@ from hd_diag.streams.rules import CLOCK_JUMP
 
 _QOS = RELIABLE._replace(depth=INPUT_DEPTH)
 _LOOP_PERIOD = 0.05  # longest sleep between looks at the clock, the log and finished maps [s]
-_GATHER = 1.0 / 60.0  # time from some samples to the next, while these come faster: that of a picture [s]
-_TOGETHER = 64  # most messages that are processed at once
-_BEHIND = 0.1  # age of a sample: beyond it the node does less of its other work [s]
-_CATCH_UP = 0.5  # longest that a change waits for samples of before [s]
-_LATE = 1.0  # wait of a sample, or standstill of the node, that is a warning [s]
+_GATHER = 1.0 / 60.0  # least time between batches of samples: one frame of a display [s]
+_TOGETHER = 64  # most messages processed at once
+_BEHIND = 0.1  # age of a waiting sample above which the node does less other work [s]
+_CATCH_UP = 0.5  # longest wait of a change for earlier samples [s]
+_LATE = 1.0  # wait of a sample or standstill of the node above which a warning is given [s]
 _LEAST_SHARE = 2.0**-12
-_WINDOW = 1.0  # in which it is judged whether there is time for more [s]
-# Longest wait for the interpreter while a map is built beside [s]: a tenth of a sample at 1 kHz; Python's own
-# 5 ms would let samples pile up.
+_WINDOW = 1.0  # period over which spare computing time is judged [s]
+# Interpreter's switch interval, for when a thread builds a map [s]: a tenth of a sample at 1 kHz. Python's
+# default of 5 ms would let samples pile up.
 _SWITCH_INTERVAL = 1e-4
 
 
 class DiagnosticNode(Node):
     """Node that runs one `Session` on live messages.
 
-    Model files with relative paths are looked for in some folders before the present one.
+    Model files with relative paths are searched for in `model_folders`, then in the working directory.
     """
 
     def __init__(self, model_folders: Sequence[Path] = ()) -> None:
@@ -114,7 +114,7 @@ class DiagnosticNode(Node):
         self._seen = Publishers(self, self._inputs)
         self._withheld = Withheld(self, self._inputs)
         self._told_lost, self._busy, self._worked, self._paced = 0, 0.0, 0.0, 0.0
-        self._turned, self._stood_still = math.inf, 0.0  # begin of the last turn, longest time of one [s]
+        self._turned, self._stood_still = math.inf, 0.0  # start of the last loop, longest loop [s]
         for joint in config.joints:
             if joint.signals.temperature is None:
                 take = partial(self._survive, "a temperature was dropped", self._temperature, joint.name)
@@ -127,7 +127,7 @@ class DiagnosticNode(Node):
         self._server.serve(partial(self._survive, refused, self._put_in_force))
 
     def housekeeping(self) -> None:
-        """Do what is due by the clock: reports, finished maps, the log's flush, looks at publishers."""
+        """Do what is due by the clock: reports, finished maps, flushes of the log, checks of publishers."""
         now = time.monotonic()
         if now >= self._next_look:
             if self._log.flush_if_due():
@@ -144,15 +144,15 @@ class DiagnosticNode(Node):
                 period = 1.0 / self._session.config.diagnostics_rate
                 self._next_report = max(self._next_report + period, now)
                 self._survive("a report failed", self._report)
-                if self._log.split_if_due(self._last_time):  # no sample waits for a report that would miss it
+                if self._log.split_if_due(self._last_time):  # after a report: no sample awaits one
                     self._session.start_again(self._now())
             self._next_look = min(now + _LOOP_PERIOD, self._next_report)
 
     def spin_once(self, executor: Any) -> None:
-        """Do what is due, take what has come, work on the oldest samples; the node survives it all.
+        """Do what is due, take new messages, process the oldest samples; errors do not end the node.
 
-        Samples gather for a moment after those before: taken together each costs less than a third. One that
-        comes later, as at a lower rate, does not wait.
+        Samples gather for `_GATHER` after the last batch: in a batch each costs less than a third. A sample
+        that comes later, as at a lower rate, does not wait.
         """
         begin = time.monotonic()
         self._stood_still, self._turned = max(self._stood_still, begin - self._turned), begin
@@ -161,19 +161,19 @@ class DiagnosticNode(Node):
             if not self._waiting and not self._is_simulated:
                 until = min(self._worked + _GATHER, self._next_report)
                 time.sleep(max(0.0, until - time.monotonic()))
-            take_all(executor)  # what waits in DDS may be dropped there, silently
+            take_all(executor)  # DDS may silently drop messages that wait there
             if not self._waiting:
                 executor.spin_once(timeout_sec=max(0.0, self._next_look - time.monotonic()))
         except ExternalShutdownException:
             raise
-        except Exception as error:  # samples wait: no pause, whatever goes wrong
+        except Exception as error:  # samples wait: go on after any error
             self.get_logger().error(f"a request was dropped: {error!r}", throttle_duration_sec=5.0)
         if self._waiting:
             self._work()
 
     @property
     def _is_simulated(self) -> bool:
-        """Whether time is simulated: then each message of the clock is one more to take, and may not wait."""
+        """Whether time is simulated: messages of the clock then come as well, and may not wait."""
         clock = self.get_clock()
         return isinstance(clock, ROSClock) and clock.ros_time_is_active
 
@@ -188,12 +188,12 @@ class DiagnosticNode(Node):
         self._log.close()
 
     def _now(self) -> int:
-        """Time of reception [ns]: the system's, but rising: the log's order is the order of events."""
+        """Time of reception [ns]: system time, forced to rise so that the log keeps the order of events."""
         self._last_time = max(self._last_time + 1, time.time_ns())
         return self._last_time
 
     def _survive(self, what: str, action: Callable[..., None], *arguments: Any) -> Exception | None:
-        """Do something; whatever it raises is printed instead of ending the node, and returned."""
+        """Call an action; print and return its exception instead of ending the node."""
         try:
             action(*arguments)
         except Exception as error:
@@ -202,7 +202,7 @@ class DiagnosticNode(Node):
         return None
 
     def _pace(self, now: float) -> None:
-        """Publish fewer arrays and drawings while samples wait, which come first; more once none do."""
+        """Publish fewer arrays and drawings while samples wait: samples come first. More once none do."""
         share = before = self._session.monitor.share
         is_over = now - self._paced > _WINDOW
         if self._waiting.age > _BEHIND:
@@ -218,7 +218,7 @@ class DiagnosticNode(Node):
             self._paced, self._busy = now, 0.0
 
     def _work(self) -> None:
-        """Process the oldest samples that wait."""
+        """Process the oldest waiting samples."""
         begin, some = time.perf_counter_ns(), self._waiting.some(_TOGETHER)
         error = self._survive("messages were dropped", self._signals, some)
         for _ in some if error is not None else ():
@@ -249,7 +249,7 @@ class DiagnosticNode(Node):
         late = max(self._waiting.longest, self._waiting.age)
         if late > _LATE:
             faults.append(f"the node cannot keep up: messages waited up to {late:.1f} s")
-        if self._stood_still > _LATE:  # DDS too, where the process was stopped: it dates all as of afterwards
+        if self._stood_still > _LATE:  # a stopped process stops DDS too, which then dates messages late
             faults.append(f"the node stood still for {self._stood_still:.1f} s")
         self._told_lost, self._waiting.longest, self._stood_still = lost, 0.0, 0.0
         facts = {
@@ -281,9 +281,9 @@ class DiagnosticNode(Node):
                 give_back()
 
     def _on_clock(self, jump: Any) -> None:
-        """The clock was set, back by less than stamps show by themselves where a short bag starts again.
+        """Handle a clock set back, as by a short bag that starts again; stamps only show jumps of 1 s.
 
-        Samples may come a little before their clock: those that are less than half the jump ahead are new.
+        Samples may come slightly before their clock: those less than half the jump ahead count as new.
         """
         if jump.delta.nanoseconds > 0:
             return
@@ -293,13 +293,13 @@ class DiagnosticNode(Node):
             self._session.clock_set_back(self._now(), self.get_clock().now().nanoseconds + back // 2)
 
     def _catch_up(self) -> None:
-        """Process the samples that wait before a change, for at most `_CATCH_UP`."""
+        """Process the waiting samples before a change, for at most `_CATCH_UP`."""
         end = time.monotonic() + _CATCH_UP
         while self._waiting and time.monotonic() < end:
             self._work()
 
     def _build_maps(self, joints: Sequence[JointConfig]) -> None:
-        for joint in joints:  # kept for the next report: beside a map's building it takes ten times as long
+        for joint in joints:  # cached for the next report: while a map is built it takes ten times as long
             tooth_loads(joint.drive)
         for joint in joints:
             self._builder.request(joint)
@@ -312,12 +312,12 @@ class DiagnosticNode(Node):
 
 
 def take_all(executor: Any) -> None:
-    """Have an executor do all that is there to be done, one by one.
+    """Let an executor do all pending work, one item at a time.
 
-    In one call, ``spin_until_future_complete`` with no time, it costs a third less; but with pybind11 3 32
-    bytes of each such call stay for ever: at 1 kHz 7 MB an hour.
+    One call of ``spin_until_future_complete`` with timeout 0 costs a third less. With pybind11 3, however,
+    each such call leaks 32 bytes: 7 MB an hour at 1 kHz.
     """
-    last = executor.create_task(int)  # its turn comes after theirs
+    last = executor.create_task(int)  # runs after the pending work
     while not last.done() and ok():
         executor.spin_once(timeout_sec=0.0)
 
@@ -325,11 +325,11 @@ def take_all(executor: Any) -> None:
 def main(
     args: Sequence[str] | None = None, stopped: Sequence[int] | None = None, config_file: str = ""
 ) -> int:
-    """Run the node until SIGINT or SIGTERM, with a command line as that of the process.
+    """Run the node until SIGINT or SIGTERM; `args` is a command line like that of the process.
 
-    One of its parameter files may be the configuration, which is read whatever the node is called.
-    Signals may be noted already: rclpy's own handlers would break into the writing of the log. Gives the exit
-    code: 0 after a signal, 2 where the arguments or the configuration cannot be used.
+    `config_file`, one of its parameter files, is read whatever the node's name. `stopped` is a list in which
+    the caller notes signals already: rclpy's own handlers would interrupt the writing of the log. Returns the
+    exit code: 0 after a signal, 2 if the arguments or the configuration cannot be used.
     """
     arguments = list(sys.argv if args is None else args)
     stopped = note_signals() if stopped is None else stopped
@@ -340,8 +340,8 @@ def main(
 
 def _run(arguments: list[str], stopped: Sequence[int], config_file: str) -> int:
     if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
-        os.environ.setdefault("RCUTILS_COLORIZED_OUTPUT", "0")  # ROS asks neither
-    set_logger_level("rcl", LoggingSeverity.FATAL)  # what it says of a faulty file is said below, better
+        os.environ.setdefault("RCUTILS_COLORIZED_OUTPUT", "0")  # ROS heeds neither variable
+    set_logger_level("rcl", LoggingSeverity.FATAL)  # errors of a faulty file are reported below, more clearly
     try:
         sections = check_arguments(arguments, config_file)
         map_large_arrays()
@@ -362,7 +362,7 @@ def _run(arguments: list[str], stopped: Sequence[int], config_file: str) -> int:
     executor.add_node(node)
     sys.setswitchinterval(_SWITCH_INTERVAL)
     give_back()
-    gc.freeze()  # what lives as long as the node need not be looked at again
+    gc.freeze()  # objects that live as long as the node need no collection
     with contextlib.suppress(ExternalShutdownException):
         while not stopped and ok():
             node.spin_once(executor)

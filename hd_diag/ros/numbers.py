@@ -1,4 +1,4 @@
-"""Numbers that publishers give their messages: which message it is, and how many are missing."""
+"""Sequence numbers of messages: they identify a message and show how many are missing."""
 
 from __future__ import annotations
 
@@ -7,46 +7,46 @@ from collections.abc import Mapping
 from typing import Any
 
 Identity = tuple[int, int]
-"""Time of a publication [ns], and its number: no two of a topic have both."""
+"""Time of a publication [ns] and its sequence number: together unique on a topic."""
 
-_NEW = 2.0  # time after a publisher was found in which its first message is no jump of another [s]
-_BEGUN = 500  # a publisher first heard at a lower number has begun since: half a second of 1 kHz
+_NEW = 2.0  # time after finding a publisher within which a jump may be its first message [s]
+_BEGUN = 500  # a publisher first heard at a number up to this has just begun: half a second at 1 kHz
 
 
 def identity(info: Mapping[str, Any]) -> Identity | None:
-    """Which message it is, by what came with it; None where an implementation gives no numbers."""
+    """Identity of a message from its info; None if the middleware gives no sequence numbers."""
     number = info["publication_sequence_number"]
     return None if number is None else (info["source_timestamp"], number)
 
 
 class Missing:
-    """How many messages are missing, by the numbers of those that came.
+    """Counts missing messages from the sequence numbers of the received ones.
 
-    A publisher counts its messages and they come in order, so a jump is a loss. Which publisher a message is
-    of is not given: a number goes on from the nearest below it. What is before a first one is not known.
+    A publisher numbers its messages and they come in order, so a jump is a loss. A message does not name its
+    publisher: a number continues from the nearest lower one. Losses before the first message are unknown.
     """
 
     def __init__(self) -> None:
         self.count = 0
-        self._last: list[int] = []  # of each publisher, the one that came last at the end
+        self._last: list[int] = []  # last number of each publisher, the most recent at the end
         self._publishers = self._new = 0
         self._found = 0.0
 
     def publishers(self, count: int) -> None:
-        """So many publishers are known now."""
+        """Set the number of known publishers."""
         if count > self._publishers:
             self._new += count - self._publishers
             self._found = time.monotonic()
         self._publishers = count
 
     def follows(self, number: int) -> bool:
-        """Whether it is the next of a publisher."""
+        """Whether a number directly follows a publisher's last one."""
         return number - 1 in self._last
 
     def withheld(self, number: int) -> None:
-        """A message with this number is lost, which its publisher's reader withheld.
+        """Count a message with this number as lost, because the reliable reader withheld it.
 
-        If that publisher has given nothing yet, one before is lost too, or all where it has just begun.
+        If nothing of its publisher was taken yet, the one before counts too, or all if it has just begun.
         """
         self._new = 0
         if not any(before < number for before in self._last):
@@ -55,12 +55,12 @@ class Missing:
         self.count += 1
 
     def take(self, number: int) -> None:
-        """Take a message by its number."""
+        """Register a received message by its number."""
         lower = [number - 1] if self.follows(number) else [last for last in self._last if last < number]
         before = max(lower, default=None)
         jump = 0 if before is None else number - before - 1
         if before is None or (jump and self._new > 0 and time.monotonic() - self._found < _NEW):
-            self._new, jump = max(self._new - 1, -1), 0  # -1: it came before its publisher was known
+            self._new, jump = max(self._new - 1, -1), 0  # -1: the message came before its publisher was known
         else:
             self._last.remove(before)
         self._last = [*self._last, number][-max(self._publishers, 1) :]

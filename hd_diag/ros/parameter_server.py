@@ -23,17 +23,17 @@ from hd_diag.config.configuration import Config, ConfigError, ModelText, resolve
 from hd_diag.config.parameters import ROS_PARAMETERS, SIGNALS, ContentError, Parameter, parameters
 from hd_diag.formatting import visible
 
-# How long a model file may take to be read [s]: samples wait meanwhile, in the subscription's queue.
+# Longest time for reading a model file [s]: samples wait meanwhile in the subscription's queue.
 _PATIENCE, _PATIENCE_AT_START = 0.25, 10.0
 _LONGEST_REASON = 2000  # characters
-_MAPPINGS = (*SIGNALS, "output_joint")  # how a joint's parameters begin that say where its signals stand
+_MAPPINGS = (*SIGNALS, "output_joint")  # beginnings of the parameters that map a joint's signals
 
 
 class ParameterServer:
-    """Parameters of a node that was made with those of its overrides, without services.
+    """Parameters of a node that was made with its overrides declared, and without parameter services.
 
-    Its config is the last one that was accepted. Raises ConfigError where the values given at the start
-    cannot be.
+    `config` is the last accepted configuration. Raises ConfigError if the values given at the start are
+    invalid.
     """
 
     def __init__(self, node: Node, model_text: ModelText) -> None:
@@ -51,7 +51,7 @@ class ParameterServer:
             node.declare_parameter(name, value, descriptor, ignore_override=True)
 
     def serve(self, apply: Callable[[Config], Any]) -> None:
-        """Take changes from now on; `apply` puts a configuration in force that was accepted."""
+        """Accept changes from now on; `apply` puts each accepted configuration in force."""
 
         def accept(_: Sequence[RosParameter]) -> None:
             self.config = self._next
@@ -62,10 +62,10 @@ class ParameterServer:
         self._services = _Services(self._node)
 
     def _checked(self, changed: Sequence[RosParameter]) -> list[RosParameter]:
-        """The parameters, with numbers of the type that they were declared with, and those that follow them.
+        """The changed parameters in their declared types, and the parameters that follow from them.
 
-        Such follow as a geometry does from a catalogue page. Raises ConfigError for what cannot be, and for
-        what is read at the start: no other process may choose where this one writes.
+        A geometry, for example, follows from a catalogue page. Raises ConfigError for invalid values, and for
+        parameters fixed at the start: no other process may choose where this one writes.
         """
         for parameter in changed:
             if parameter.name in self._known and _is_fixed(parameter.name):
@@ -84,18 +84,18 @@ class ParameterServer:
         in_force = {joint.name: joint.model_text for joint in self.config.joints}
 
         def model_text(joint: str, path: str) -> str:
-            """A model is read again only where its parameter is set: the file may be another, or gone."""
+            """Read a model again only if its parameter is set: the file may have changed, or be gone."""
             kept = f"{joint}.model_file" not in own and in_force[joint]
             return kept or self._read(joint, path, _PATIENCE)
 
         try:
             candidate = resolve({**self.config.given, **own}, model_text)
-        except ContentError as error:  # it may be any file that the node can read
+        except ContentError as error:  # do not reveal contents: it may be any readable file
             raise ConfigError(error.discreet) from error
         return candidate
 
     def _read(self, joint: str, path: str, patience: float) -> str:
-        """Text of a model file, read in a thread: some disks let wait for ever, as one of a network may."""
+        """Text of a model file, read in a thread, because some disks, as of a network, may block for ever."""
         if self._reading is not None and self._reading.is_alive():
             raise ConfigError("cannot be read: the file before is still being read")
         found: queue.SimpleQueue[str | Exception] = queue.SimpleQueue()
@@ -118,9 +118,9 @@ class ParameterServer:
 
 
 class _Services(ParameterService):
-    """The services that every node has, which answer every request.
+    """The parameter services of every node, made to answer every request.
 
-    rclpy's own gives no answer, but an exception, where a parameter has a type that ROS does not know.
+    rclpy's own services raise instead of answering if a parameter has a type that ROS does not know.
     """
 
     def _set_parameters_callback(self, request: Any, response: Any) -> Any:
@@ -140,12 +140,12 @@ class _Services(ParameterService):
 
 
 def _descriptor(name: str, spec: Parameter) -> ParameterDescriptor:
-    """What tools show of a parameter: a range as a slider, else as text; choices."""
+    """Descriptor of a parameter for tools: its range or choices as text, ranges of numbers as sliders too."""
     limits = f"{spec.low:g} to {spec.high:g}" if np.isfinite([spec.low, spec.high]).all() else ""
     descriptor = ParameterDescriptor(
         name=name,
         description=f"{spec.meaning}{f' [{spec.unit}]' if spec.unit else ''}",
-        dynamic_typing=True,  # an integer for a number is welcome: `_checked` looks at it
+        dynamic_typing=True,  # integers are accepted for floats: `_checked` converts them
         additional_constraints="one of " + ", ".join(spec.choices) if spec.choices else limits,
         read_only=_is_fixed(name),
     )
@@ -160,7 +160,7 @@ def _descriptor(name: str, spec: Parameter) -> ParameterDescriptor:
 
 
 def _as_declared(parameter: RosParameter, spec: Parameter | None) -> RosParameter:
-    """Integers as numbers where a number was declared: who reads them back looks there."""
+    """An integer as a float if a float was declared: readers look for it there."""
     is_number = spec is not None and isinstance(spec.default, float)
     if not is_number or parameter.type_ != RosParameter.Type.INTEGER:
         return parameter
@@ -168,10 +168,10 @@ def _as_declared(parameter: RosParameter, spec: Parameter | None) -> RosParamete
 
 
 def _is_fixed(parameter: str) -> bool:
-    """Whether a parameter is read when the node starts, and not after.
+    """Whether a parameter is read only when the node starts.
 
-    So are all that say where a joint's signals stand: topics are subscribed to at the start, and a log is
-    replayed by the names with which it begins.
+    This includes all that map a joint's signals: topics are subscribed to at the start, and a log is
+    replayed by the names at its beginning.
     """
     is_mapping = parameter.partition(".")[2].startswith(_MAPPINGS)
     return is_mapping or parameter == "joints" or parameter.startswith("log.")
@@ -183,5 +183,5 @@ def _is_own(parameter: str) -> bool:
 
 
 def _plain(value: Any) -> Any:
-    """A parameter's value as Python has it: arrays as lists."""
+    """A parameter's value in plain Python: arrays as lists."""
     return list(value) if hasattr(value, "__iter__") and not isinstance(value, str) else value

@@ -1,4 +1,4 @@
-"""Who publishes what the node takes: another type on a topic, more than one publisher of a joint."""
+"""Checks who publishes the node's inputs: another type on a topic, more than one publisher of a joint."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from hd_diag.monitor.settings import JointConfig
 from hd_diag.ros.second_reader import SecondReader
 from hd_diag.ros.subscriptions import SignalInput
 
-_LENGTH = 1.0  # of a look [s]
+_LENGTH = 1.0  # duration of a look [s]
 _REST = 10.0  # from one look to the next [s]
-_DEPTH = 50  # messages that wait between two steps of a look, as long as they are small
-_RECEIVED = np.zeros(1, np.int64)  # stands for a time that is not used
+_DEPTH = 50  # messages that may wait between two steps of a look, if they are small
+_RECEIVED = np.zeros(1, np.int64)  # placeholder for a time that is not used
 
 
 class Numbers:
-    """What has more than one publisher, by the numbers that publishers give their messages.
+    """Names with more than one publisher, from the sequence numbers of messages.
 
-    A publisher counts its messages, and they come in order, as far as they come. So if the numbers of those
-    that carry a name do not rise, it has two publishers, and the name is `doubled`. Two whose messages
-    alternate cannot rise together: after a1 < b1 the next of the first is a1 + 1, which is not above b1.
+    A publisher numbers its messages, and they come in order, perhaps with gaps. If the numbers of messages
+    with a name do not rise, the name has two publishers and is `doubled`. The numbers of two alternating
+    publishers cannot rise: after a1 < b1 the first one sends a1 + 1, which is not above b1.
     """
 
     def __init__(self) -> None:
@@ -34,13 +34,13 @@ class Numbers:
         self._last: dict[str, int] = {}
 
     def take(self, number: int, names: set[str]) -> None:
-        """Take a message by its number and the names that it carries."""
+        """Register a message by its number and the names that it carries."""
         self.doubled |= {name for name in names if number <= self._last.get(name, -1)}
         self._last |= dict.fromkeys(names, number)
 
 
 class Look:
-    """A second reader of a topic for a short time, which gets the numbers of its messages."""
+    """A second reader of a topic for a short time, which collects the numbers of its messages."""
 
     def __init__(self, beside: Node, taken: SignalInput, names: set[str]) -> None:
         self.numbers = Numbers()
@@ -49,23 +49,23 @@ class Look:
         self._second = SecondReader(beside, "_hd_diag_look", taken, _DEPTH)
 
     def take(self) -> None:
-        """Take what has come since the last time."""
+        """Take the messages since the last call."""
         for data, info in self._second.take():
             number = info["publication_sequence_number"]
             if number is None:  # some implementations give none
                 continue
-            with contextlib.suppress(ValueError):  # the node itself tells what cannot be read
+            with contextlib.suppress(ValueError):  # the node itself reports unreadable messages
                 states = self._reader.one(data, _RECEIVED)
                 self.numbers.take(number, self._names & {*states.names, *states.keys})
 
     def close(self) -> None:
-        """Leave nothing behind."""
+        """Remove the second reader."""
         self._second.close()
 
 
 @dataclass
 class _Topic:
-    """A topic with the publishers that the graph knew last, and what the last look found doubled."""
+    """A topic, its publishers when the graph was last read, and the names found doubled in the last look."""
 
     taken: SignalInput
     gids: frozenset[bytes] = frozenset()
@@ -76,10 +76,10 @@ class _Topic:
 
 
 class Publishers:
-    """What is wrong with the publishers of a node's topics.
+    """Faults in the publishers of a node's topics.
 
-    A topic with several publishers is looked at when they change, then after 10, 20, 40, ... s: one may begin
-    long after it is made. Length of a look and time from one to the next are in seconds.
+    A topic with several publishers is examined when they change, then after 10, 20, 40, ... s: a publisher
+    may begin to send long after it is made. `length` of a look and `rest` between two looks are in seconds.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class Publishers:
         self._look: tuple[Look, _Topic, frozenset[bytes], float] | None = None
 
     def faults(self, joints: Sequence[JointConfig]) -> list[str]:
-        """What the graph says now, and what the last looks found; the next ones are for these joints."""
+        """Faults seen in the graph now and in the last looks; the next looks are for these joints."""
         self._names = {name for joint in joints for name in (joint.input_joint, joint.output_joint)}
         found = []
         for topic in self._topics:
@@ -113,13 +113,13 @@ class Publishers:
             if now >= end:
                 self.close()
                 self._update(topic)
-                if topic.gids == gids:  # else one may have followed another
+                if topic.gids == gids:  # otherwise one may have replaced another
                     topic.doubled = tuple(sorted(look.numbers.doubled))
                     topic.due, topic.pause = now + topic.pause, 2.0 * topic.pause
         elif now >= self._rested:
             topic = min(self._topics, key=lambda each: each.due)
             if topic.due <= now:
-                self._rested = now + self._rest  # whatever goes wrong
+                self._rested = now + self._rest  # even if the look fails
                 look = Look(self._node, topic.taken, self._names)
                 self._look = look, topic, topic.gids, now + self._length
 
@@ -130,7 +130,7 @@ class Publishers:
         self._look = None
 
     def _update(self, topic: _Topic) -> set[str]:
-        """Take a topic's publishers from the graph; give the types that they have."""
+        """Update a topic's publishers from the graph; return the types that they publish."""
         source = topic.taken.source
         infos = self._node.get_publishers_info_by_topic(source.topic)
         right = [each for each in infos if each.topic_type == source.type_name]

@@ -34,7 +34,7 @@ _DEPTH = 2000  # messages that may wait for a reader: two seconds of 1 kHz
 
 
 class Publishing:
-    """Publishers of a node, the log beside them, and the full names of the topics that come in and go out."""
+    """A node's publishers and log, and the full names of its input and output topics."""
 
     def __init__(self, node: Node, joints: Sequence[str], log: LogWriter) -> None:
         self._node = node
@@ -47,7 +47,7 @@ class Publishing:
         self.names = {topic: node.resolve_topic_name(topic) for topic in topics}
 
     def emit(self, encoded: Encoded) -> None:
-        """Publish and log; what has no publisher is for the log alone, what nobody reads is not published."""
+        """Log messages, and publish them if their topic has a publisher and a subscriber."""
         name = self.names.get(encoded.topic) or self._node.resolve_topic_name(encoded.topic)
         self.names[encoded.topic] = name
         publisher = self._publishers.get(encoded.topic)

@@ -1,4 +1,4 @@
-"""Snapshots and diagnoses beside a running node: asked for by services, or begun by a joint's fault."""
+"""Snapshots and diagnoses of a running node, requested by services or begun by a joint's fault or motion."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from hd_diag.ros.diagnosis_run import DiagnosisRun
 from hd_diag.ros.faults import OF_NO_JOINT, Beginnings
 from hd_diag.ros.log_writer import LogWriter
 
-_SILENCE = {"STALE"}  # a fault in which there is nothing to diagnose
-_MOVED = 0.01  # turn of an input that is more than an encoder's noise [rad]
+_SILENCE = {"STALE"}  # a fault without data to diagnose
+_MOVED = 0.01  # rotation of an input above the noise of an encoder [rad]
 
 
 class Recording:
-    """Services of a node for its log and its diagnosis, and what begins both without being asked.
+    """Services of a node for its log and its diagnosis, and the conditions that begin both automatically.
 
-    `now` gives the time of an event [ns].
+    `now` returns the time of an event [ns].
     """
 
     def __init__(self, node: Node, log: LogWriter, session: Session, now: Callable[[], int]) -> None:
@@ -36,7 +36,7 @@ class Recording:
         self._faults = Beginnings(session.config.log.before + session.config.log.after)
         self._angles: dict[str, float] = {}
         self._moved, self._seen = 0.0, time.monotonic()
-        self._fault_waits = False  # for a diagnosis, while another is running
+        self._fault_waits = False  # whether a fault awaits its diagnosis while another one runs
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         verdicts = node.create_publisher(String, "~/verdict", latched)
         self._logger, self._shown = node.get_logger(), ""
@@ -52,24 +52,24 @@ class Recording:
 
     @property
     def facts(self) -> Mapping[str, str]:
-        """State of the diagnosis, and of each joint the last verdict."""
+        """State of the diagnosis, and each joint's last verdict."""
         return self._run.facts
 
     def follow(self, statuses: Sequence[Status]) -> None:
-        """Look at a report: a fault that begins, or enough motion, begins what is configured."""
+        """Process a report: a new fault or enough motion begins the configured snapshot or diagnosis."""
         config, now = self._session.config, time.monotonic()
         begun, every = self._begun(statuses), config.diagnose_every
         self._moved += self._is_turning(statuses) * (now - self._seen)
         self._seen = now
         if begun and config.log.mode == "snapshot" and config.log.path:
-            with suppress(BagError):  # the log's state tells why
+            with suppress(BagError):  # the log's state says why
                 self._record(config.log.after)
         self._fault_waits |= config.diagnose_on_fault and not begun <= _SILENCE
         if self._fault_waits or (every and self._moved >= every):
             self._diagnose_by_itself(config.log.after if begun else 0.0)
 
     def _begun(self, statuses: Sequence[Status]) -> set[Hashable]:
-        """Faults that begin. One that comes back while a snapshot would hold it is in the files already."""
+        """New faults. A fault that returns within the length of a snapshot is in the files already."""
         begun: set[Hashable] = set()
         for joint, _, _, values in statuses:
             faults = set(values["fault_codes"].split()) - OF_NO_JOINT if values["samples"] != "0" else set()
@@ -77,7 +77,7 @@ class Recording:
         return begun
 
     def _is_turning(self, statuses: Sequence[Status]) -> bool:
-        """Whether an input has turned since it last did."""
+        """Whether an input has turned by more than `_MOVED` since it last did."""
         turning = False
         for status in statuses:
             angle, before = float(status.values["input_angle_rad"]), self._angles.get(status.joint, math.nan)
@@ -91,14 +91,14 @@ class Recording:
         state = self._log.state
         if state != self._shown:
             self._shown = state
-            if state.startswith("failed"):  # each severity needs a line of its own, or rclpy raises
+            if state.startswith("failed"):  # two calls: rclpy raises if one call changes its severity
                 self._logger.error(f"log {state}")
             else:
                 self._logger.info(f"log {state}")
         self._run.look(self._session.config, self._files)
 
     def close(self) -> None:
-        """End a diagnosis that runs."""
+        """End a running diagnosis."""
         self._run.close()
 
     def _snapshot(self) -> str:
@@ -130,7 +130,7 @@ class Recording:
         return str(self._log.bags[-1])
 
     def _diagnose_by_itself(self, after: float) -> None:
-        """As `_diagnose_now`, unless a diagnosis is running; the state says why there is none."""
+        """As `_diagnose_now`, unless a diagnosis is running; the state shows a failure."""
         if self._run.is_busy:
             return
         self._fault_waits = False
@@ -140,7 +140,7 @@ class Recording:
             self._run.fail(str(error))
 
     def _diagnose_now(self, after: float) -> str:
-        """Have the log's last minutes in files, to be diagnosed once they are whole; where the result is."""
+        """Diagnose the log's last minutes once their files are complete; return the result's path."""
         config, self._moved = self._session.config.log, 0.0
         if self._run.is_busy:
             raise BagError("~/diagnose", f"one is under way: {self._run.facts['diagnosis_state']}")
@@ -153,7 +153,7 @@ class Recording:
         return self._run.ask(self._log.bags[-1], time.monotonic() + after)
 
     def _files(self) -> Sequence[Path] | None:
-        """What is to be diagnosed; None while it is being written."""
+        """Files to diagnose; None while they are being written."""
         if self._log.will_end:
             return None
         if self._log.is_recording and self._log.split_if_due(self._now(), at_once=True):
@@ -162,7 +162,7 @@ class Recording:
 
 
 def _answering(action: Callable[[], str]) -> Callable[[Any, Any], Any]:
-    """A service that answers with what an action gives, or why it gives nothing."""
+    """Service that answers with an action's text, or with the reason for its failure."""
 
     def answer(_: Any, response: Any) -> Any:
         try:

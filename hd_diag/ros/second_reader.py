@@ -1,4 +1,4 @@
-"""A second reader beside a subscription, which gives the numbers of messages too."""
+"""A second reader beside a subscription, which also gives the numbers of messages."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from hd_diag.ros.message_types import message_class
 from hd_diag.ros.subscriptions import SignalInput
 
-# Beside it a node has a service that describes types, which nothing here would answer.
+# Otherwise the node would have a service that describes types, which nothing here answers.
 _NO_SERVICE = [Parameter("start_type_description_service", value=False)]
 
 
 class SecondReader:
-    """A reader with best effort beside a subscription, of a node of its own, which no executor serves.
+    """A best-effort reader beside a subscription, in a separate node that no executor serves.
 
-    At most `depth` messages wait in it, and not more than in the subscription.
+    At most `depth` messages wait in it, and never more than in the subscription.
     """
 
     def __init__(self, beside: Node, name: str, taken: SignalInput, depth: int) -> None:
@@ -39,7 +39,7 @@ class SecondReader:
         self._subscription = self._node.create_subscription(*own, raw=True)
 
     def take(self) -> Iterator[tuple[bytes, Mapping[str, Any]]]:
-        """What has come since the last time: messages in CDR, each with what came with it."""
+        """Messages since the last call, in CDR, each with its message info."""
         for _ in range(self._depth):
             with self._subscription.handle:
                 taken = self._subscription.handle.take_message(self._subscription.msg_type, True)
@@ -48,5 +48,5 @@ class SecondReader:
             yield taken
 
     def close(self) -> None:
-        """Leave nothing behind."""
+        """Destroy the separate node."""
         self._node.destroy_node()

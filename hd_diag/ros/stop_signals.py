@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM: raised where work can be left at any place, noted where it is finished first."""
+"""SIGINT and SIGTERM: raised if work can be left anywhere, noted if it must be finished first."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from typing import Any
 from hd_diag.memory import causes
 
 _STOPPING = (signal.SIGINT, signal.SIGTERM)
-_SOON = 0.02  # [s]
+_SOON = 0.02  # between checks whether a raised signal got lost [s]
 _noted: list[int] = []
-_raised: list[tuple[threading.Event, int]] = []  # signals: who has seen one, and its number
+_raised: list[tuple[threading.Event, int]] = []  # of each signal: whether it was seen, its number
 
 SIGNALLED = 128
-"""Plus the number of a signal: exit code of what it has ended, as shells have it."""
+"""Added to a signal's number it is the exit code of a process ended by that signal, as in shells."""
 
 
 class Stopped(KeyboardInterrupt):
-    """A signal came, by default Ctrl-C: what is open is closed, files begun are taken away."""
+    """A signal came, by default Ctrl-C: open files are closed, unfinished ones removed."""
 
     def __init__(self, number: int = signal.SIGINT) -> None:
         super().__init__(number)
@@ -32,10 +32,9 @@ class Stopped(KeyboardInterrupt):
 
 
 def raise_signals() -> None:
-    """Raise `Stopped` for signals from now on; one that is ignored stays so, as below nohup.
+    """Raise `Stopped` for signals from now on; ignored signals stay ignored, as under nohup.
 
-    Imports and compiled code lose some of what is raised in them: it is raised again until `signalled` has
-    seen it.
+    Imports and compiled code lose some exceptions: a signal is raised again until `signalled` has seen it.
     """
     for number in (*_STOPPING, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:
@@ -44,10 +43,10 @@ def raise_signals() -> None:
 
 
 def signalled(error: BaseException | None) -> int:
-    """Exit code of what a signal has ended, as shells have it; 0 where none has.
+    """Exit code for an error that a signal has caused, as in shells; 0 if no signal has.
 
-    Others make their own errors of a KeyboardInterrupt: click, numba's compiled code, imports. Some of these
-    do not say what they come from: an error soon after a signal that nobody has seen is the signal's.
+    click, numba's compiled code and imports turn a KeyboardInterrupt into errors of their own, some without
+    a cause. An error after a signal that nobody has seen therefore counts as the signal's.
     """
     came = next((number for seen, number in _raised if not seen.is_set()), 0)
     for each in causes(error):
@@ -63,15 +62,15 @@ def _raise(number: int, frame: FrameType | None) -> None:
 
 
 def _watched(error: Stopped) -> Stopped:
-    seen = threading.Event()  # by who ends the program for it
+    seen = threading.Event()  # set by the code that ends the program
     _raised.append((seen, error.number))
-    with contextlib.suppress(RuntimeError):  # the interpreter ends
+    with contextlib.suppress(RuntimeError):  # the interpreter is shutting down
         threading.Thread(target=_raise_again, args=(weakref.ref(error), *_raised[-1]), daemon=True).start()
     return error
 
 
 def _raise_again(error: weakref.ref[Stopped], seen: threading.Event, number: int) -> None:
-    """Send the signal once more where the error is gone and nobody has seen it."""
+    """Send the signal once more if the error is gone and nobody has seen it."""
     while not seen.wait(_SOON):
         if error() is None:
             os.kill(os.getpid(), number)
@@ -79,20 +78,20 @@ def _raise_again(error: weakref.ref[Stopped], seen: threading.Event, number: int
 
 
 def _lost(what: Any) -> None:
-    """Tell of what was raised where nobody can catch it, except for signals, which come again."""
+    """Report exceptions that nobody can catch, except for signals, which are sent again."""
     if not isinstance(what.exc_value, Stopped):
         sys.__unraisablehook__(what)
 
 
 def note_signals() -> list[int]:
-    """Signals that come from the first call on, as long as the process lives: who sees one ends its work."""
+    """List of signals since the first call, for the life of the process; its readers then end their work."""
     for number in _STOPPING:
         signal.signal(number, lambda received, frame: _noted.append(received))
     return _noted
 
 
 def ignore_signals() -> None:
-    """Ignore signals while the interpreter ends: it notes no more, and one that came then would kill it."""
+    """Ignore signals while the interpreter shuts down: it notes no more, and a late one would kill it."""
     for number in _STOPPING:
         signal.signal(number, signal.SIG_IGN)
 
@@ -101,8 +100,8 @@ def ignore_signals() -> None:
 def noted_signals() -> Iterator[list[int]]:
     """Note signals inside a ``with`` statement; a second one ends the program at once.
 
-    A KeyboardInterrupt at any place could leave a terminal without a cursor, a process running or a file
-    half written; so would SIGTERM.
+    A KeyboardInterrupt at any place, or SIGTERM, could leave a terminal without a cursor, a running process
+    or a half-written file.
     """
     came: list[int] = []
 

@@ -26,10 +26,10 @@ from hd_diag.ros.numbers import Identity, Missing, identity
 from hd_diag.streams.signals import ROLES, Signal, key
 
 INPUT_DEPTH = 2000
-"""Samples that may wait in DDS while something else takes its time: two seconds of 1 kHz."""
+"""Samples that may wait in DDS while the node is busy: two seconds at 1 kHz."""
 
 MOST_BYTES = 16 << 20
-"""That may wait in DDS, and as many in the node."""
+"""Bytes of messages that may wait in DDS, and as many in the node."""
 
 Reader = JointStateReader | FieldReader
 
@@ -43,7 +43,7 @@ class SignalTopic:
     signals: dict[str, Signal] = field(default_factory=dict)
 
     def reader(self) -> Reader:
-        """What reads the signals; ValueError where the type has no such field."""
+        """Reader of the signals; ValueError if the type lacks a field."""
         if self.type_name == JOINT_STATE:
             return JointStateReader(self.signals)
         store = store_of(self.type_name, definition_of(self.type_name))
@@ -51,7 +51,7 @@ class SignalTopic:
 
 
 def sources(config: Config, full_name: Callable[[str], str]) -> list[SignalTopic]:
-    """Topics that a configuration needs; ConfigError where one is said to have two types."""
+    """Topics that a configuration needs; ConfigError if it gives one topic two types."""
     usual = SignalTopic(full_name(INPUT), JOINT_STATE)
     found = {usual.topic: usual}
     for joint, role, signal in _signals(config):
@@ -80,7 +80,7 @@ def check_types(config: Config) -> None:
 
 
 def _signals(config: Config) -> Iterator[tuple[str, str, Signal]]:
-    """Joint, role and signal of all that are mapped."""
+    """Joint, role and signal of each mapped signal."""
     for joint in config.joints:
         for role, signal in zip(ROLES, joint.signals, strict=True):
             if signal is not None:
@@ -88,11 +88,11 @@ def _signals(config: Config) -> Iterator[tuple[str, str, Signal]]:
 
 
 class SignalInput:
-    """Reliable subscription to a topic, in CDR; best effort once a publisher offers no more.
+    """Reliable subscription to a topic, in CDR; best effort once a publisher offers only that.
 
-    At most `depth` messages wait in DDS. The last was `heard` at a time on the monotonic clock [s], or else
-    the subscription was made then; the last ones are `given`. `take` takes each in CDR, and how long it has
-    waited in DDS [s].
+    At most `depth` messages wait in DDS. `heard` is the monotonic time of the last message, or of the
+    subscription before the first one [s]; `given` identifies the last messages. `take` gets each message in
+    CDR and its wait in DDS [s].
     """
 
     def __init__(self, node: Node, source: SignalTopic, take: Callable[[bytes, float], None]) -> None:
@@ -106,14 +106,14 @@ class SignalInput:
 
     @property
     def lost(self) -> int:
-        """Number of messages that were lost: as DDS says, or more where the messages' numbers show more.
+        """Number of lost messages: the larger of DDS's count and that by the messages' numbers.
 
-        Of what gives way to newer ones, or is withheld, DDS says nothing.
+        DDS does not count messages that give way to newer ones or are withheld.
         """
         return max(self._lost, self._missing.count)
 
     def begin_anew(self, withheld: Iterable[int]) -> None:
-        """Subscribe again, as messages with these numbers are withheld, in the order of their arrival."""
+        """Subscribe again because messages with these numbers, in order of arrival, are withheld."""
         for number in withheld:
             self._missing.withheld(number)
         self._change()
@@ -121,10 +121,10 @@ class SignalInput:
         self._node.get_logger().warning(f"{self.source.topic} {why}", throttle_duration_sec=5.0)
 
     def follow_publishers(self) -> None:
-        """Subscribe as the publishers need it.
+        """Adapt the subscription to the publishers.
 
-        With best effort where one offers no more, or nothing would arrive; to fewer messages where they are
-        so large that those that wait would fill the memory.
+        It is best effort if a publisher offers only that: otherwise nothing would arrive. It holds fewer
+        messages if they are so large that waiting ones would fill the memory.
         """
         self._missing.publishers(self._node.count_publishers(self.source.topic))
         depth = max(1, min(INPUT_DEPTH, MOST_BYTES // self._largest))
@@ -139,7 +139,7 @@ class SignalInput:
         self._node.get_logger().info(f"{self.source.topic} {what}")
 
     def _change(self) -> None:
-        self._former = self._subscription  # not let go yet: the executor may still hold an event of it
+        self._former = self._subscription  # kept: the executor may still hold an event of it
         self._node.destroy_subscription(self._former)
         self._subscription = self._subscribe()
 
@@ -151,7 +151,7 @@ class SignalInput:
         )
         try:
             return self._node.create_subscription(*own, profile, event_callbacks=events, raw=True)
-        except UnsupportedEventTypeError:  # some implementations do not tell losses
+        except UnsupportedEventTypeError:  # some implementations do not report losses
             events.message_lost = None
             return self._node.create_subscription(*own, profile, event_callbacks=events, raw=True)
 
@@ -175,9 +175,9 @@ class SignalInput:
 
 
 def _with_info(take: Callable[[bytes, Mapping[str, Any]], None]) -> Callable[..., None]:
-    """A callback that asks for a message and what came with it.
+    """A callback that asks for a message and its info.
 
-    The events executor of rclpy 7.1 gives both as one tuple, later ones as two arguments.
+    The events executor of rclpy 7.1 passes both as one tuple, later versions as two arguments.
     """
 
     def on_message(*given: Any) -> None:
@@ -188,10 +188,10 @@ def _with_info(take: Callable[[bytes, Mapping[str, Any]], None]) -> Callable[...
 
 
 class Waiting:
-    """Messages that wait for their turn, bounded by bytes: the oldest give way.
+    """Queue of messages, bounded in bytes: the oldest give way.
 
-    DDS drops silently what its reader has no room for; so all is taken from it at once. How many were
-    `dropped` is counted; `longest` is the longest that one waited, until somebody sets it back [s].
+    DDS silently drops messages that its reader has no room for, so all are moved here at once. `dropped`
+    counts messages that gave way; `longest` is the longest wait since it was last reset [s].
     """
 
     def __init__(self) -> None:
@@ -204,11 +204,11 @@ class Waiting:
 
     @property
     def age(self) -> float:
-        """How long the oldest has waited [s]."""
+        """Wait of the oldest message so far [s]."""
         return time.monotonic() - self._messages[0][0] if self._messages else 0.0
 
     def put(self, source: SignalTopic, reader: Reader, data: bytes, waited: float = 0.0) -> None:
-        """Append a message that has waited elsewhere [s]; the oldest are dropped beyond `MOST_BYTES`."""
+        """Append a message that has `waited` elsewhere [s]; the oldest are dropped beyond `MOST_BYTES`."""
         self._bytes += len(data) + OBJECTS
         self._messages.append((time.monotonic() - waited, (source, reader, data)))
         while self._bytes > MOST_BYTES and len(self._messages) > 1:
@@ -216,14 +216,14 @@ class Waiting:
             self.get()
 
     def get(self) -> tuple[SignalTopic, Reader, bytes]:
-        """Remove and give the oldest message."""
+        """Remove and return the oldest message."""
         self.longest = max(self.longest, self.age)
         _, message = self._messages.popleft()
         self._bytes -= len(message[-1]) + OBJECTS
         return message
 
     def some(self, most: int) -> list[tuple[SignalTopic, Reader, bytes]]:
-        """Remove and give the oldest messages, at most so many."""
+        """Remove and return the oldest messages, at most `most`."""
         return [self.get() for _ in range(min(most, len(self)))]
 
 

@@ -1,8 +1,8 @@
-"""Messages that arrive and that a reliable subscription withholds.
+"""Finds messages that arrive but are withheld by a reliable subscription.
 
-A message that Fast DDS cannot read, such as one without a payload, is asked for again for as long as its
-publisher keeps it. Until then a reliable reader gives none of those after it, and says nothing. A reader with
-best effort gives them: while a subscription gives nothing, it shows whether something arrives.
+Fast DDS asks again for a message that it cannot read, such as one without a payload, for as long as its
+publisher keeps it. Until then a reliable reader silently withholds all later messages. A best-effort reader
+delivers them, so it shows whether messages arrive while a subscription is silent.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from hd_diag.ros.numbers import Identity, identity
 from hd_diag.ros.second_reader import SecondReader
 from hd_diag.ros.subscriptions import SignalInput
 
-_SILENT = 0.2  # time without a message of a topic before one is looked for [s]
-_MISSED = 1.0, 6.0  # the same of a joint, whose topic others may publish too, and until when [s]
-# Time after which a message that has arrived is withheld for good [s]: one that got lost on the way is sent
-# again after the publisher's next heartbeat, which Fast DDS sends every 3 s.
+_SILENT = 0.2  # silence of a topic after which the best-effort reader looks [s]
+_MISSED = 1.0, 6.0  # the same of a joint, whose topic others may use too: from, to [s]
+# Time after which an arrived message counts as withheld [s]: a message lost on the way is sent again after
+# the publisher's next heartbeat, which Fast DDS sends every 3 s.
 _WITHHELD = 3.5
-_KEPT = 5.0  # for which the reader stays after a silence: slow topics have many [s]
-_DEPTH = 10  # messages that the reader holds, as long as they are small
+_KEPT = 5.0  # the reader is kept so long after a silence: slow topics have many [s]
+_DEPTH = 10  # messages that the reader holds, if they are small
 
 
 class _Beside:
-    """What arrives beside a subscription that has not given it, and since when."""
+    """Messages that have arrived but were not delivered by a subscription, with their arrival times."""
 
     def __init__(self, node: Node, taken: SignalInput) -> None:
         self._node, self._taken = node, taken
@@ -54,7 +54,7 @@ class _Beside:
             self._arrived.clear()
 
     def close(self) -> None:
-        """Look no more."""
+        """Stop looking."""
         if self._reader is not None:
             self._reader.close()
         self._reader = None
@@ -62,18 +62,18 @@ class _Beside:
 
 
 class Withheld:
-    """Looks beside the subscriptions of a node, which then start again."""
+    """Finds subscriptions of a node that withhold messages, and renews them."""
 
     def __init__(self, node: Node, inputs: Sequence[SignalInput]) -> None:
         self._beside = [_Beside(node, each) for each in inputs]
 
     def look(self, silences: Sequence[float]) -> None:
-        """Look at all, a joint having been silent for a time each [s]."""
+        """Check all subscriptions; `silences` are the times without samples of the joints [s]."""
         begin, end = _MISSED
         for each in self._beside:
             each.look(any(begin < silence < end for silence in silences))
 
     def close(self) -> None:
-        """Look no more."""
+        """Stop looking."""
         for each in self._beside:
             each.close()

@@ -1,4 +1,4 @@
-"""What a watcher shows: one table of joints, and what is said of each."""
+"""The display of a watcher: one table of joints, and a line on each."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from hd_diag.formatting import visible
 from hd_diag.watch.state import JointView, Watch
 
 PERIOD, _REFRESH = 1.0, 0.25
-"""Between tables of a pipe without another fault, and between those in a terminal [s]."""
-_UNWRAPPED, _LONGEST, _LARGE = 10_000, 500, 1e5  # width of a pipe, longest text; number with an exponent
+"""Time between tables in a pipe if no fault changes, and between tables in a terminal [s]."""
+_UNWRAPPED, _LONGEST, _LARGE = 10_000, 500, 1e5  # width of a pipe; longest text; least number with exponent
 _TITLE = Text("hd-diag watch  d: diagnose, q: quit", "bold")
 _STYLES, _GREY = {"ok": "green", "warn": "yellow", "error": "bold red"}, "bright_black"
 
@@ -36,12 +36,12 @@ _NUMBERS = (
 
 class _Console(Console):
     def on_broken_pipe(self) -> None:
-        """Leave it to the caller; rich would end the program with an error."""
+        """Leave the error to the caller; rich would end the program."""
         raise
 
 
 class Display(Live):
-    """Shows a watch while it is entered: in a terminal in one place, whole at the end."""
+    """Context that shows a watch: a terminal is updated in place and has the whole table at the end."""
 
     def __init__(self, watch: Watch, file: TextIO) -> None:
         if isinstance(file, io.TextIOWrapper):
@@ -54,11 +54,11 @@ class Display(Live):
             console=console,
             get_renderable=lambda: Group(_TITLE, picture(watch, self._now)),
             auto_refresh=False,
-            transient=not console.is_interactive,  # a pipe has had it
+            transient=not console.is_interactive,  # a pipe already has the last table
         )
 
     def show(self, now: float) -> None:
-        """Show the present state [s] where a fault is another, or where it is time to."""
+        """Show the state at a time [s] if a fault has changed or the period is over."""
         self._now, is_live = now, self.console.is_interactive
         faults = [(view.fault_code, view.silent) for view in self._watch.view(now)]
         has_come = is_live or self._watch.messages > self._messages
@@ -69,7 +69,7 @@ class Display(Live):
 
 
 def picture(watch: Watch, now: float) -> Group:
-    """What is missing or answered, then the table of joints, then what is said of each."""
+    """Missing reports and answers, then the table of joints, then a line on each joint."""
     views = watch.view(now)
     table = Table(box=None, pad_edge=False)
     for place, heading in enumerate(("joint", "fault", *(heading for heading, *_ in _NUMBERS))):
@@ -92,14 +92,14 @@ def _style(view: JointView) -> str:
 
 
 def _number(view: JointView, key: str, places: int) -> str:
-    """A value with so many decimals, without where it is large; a dash where it is not finite."""
+    """A value with `places` decimals, with an exponent if it is large; a dash if it is not finite."""
     value = view.number(key)
     shown = f"{value:.{places}f}" if abs(value) < _LARGE else f"{value:.0e}"
     return shown if math.isfinite(value) else "-"
 
 
 def in_words(view: JointView) -> str:
-    """What is known of a joint beside its numbers, in one line without control characters."""
+    """Everything about a joint except for its numbers, in one line without control characters."""
     values, code = view.values, view.fault_code
     others = " ".join(each for each in str(values.get("fault_codes", "")).split() if each != code)
     silent = f"no report for {view.age:.0f} s; the last:" if view.silent else ""

@@ -21,12 +21,12 @@ from std_srvs.srv import Trigger
 from hd_diag.messages.publications import DIAGNOSTICS
 from hd_diag.watch.state import Watch
 
-_TOPIC = "/diagnostics"  # everywhere, and the ends of those of nodes that were given another
-_LOOK_PERIOD, _DEPTH = 1.0, 100  # between looks at the ROS graph [s], reports that may wait
+_TOPIC = "/diagnostics"  # the usual topic; remapped ones must end like it
+_LOOK_PERIOD, _DEPTH = 1.0, 100  # between looks at the ROS graph [s]; reports that may wait
 
 
 class Listener(Node):
-    """Gives a `Watch` what is published."""
+    """Passes published diagnostics to a `Watch`."""
 
     def __init__(self, watch: Watch) -> None:
         super().__init__(f"hd_diag_watch_{os.getpid()}", enable_rosout=False, start_parameter_services=False)

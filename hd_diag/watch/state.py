@@ -16,11 +16,11 @@ PREFIX = "hd_diag: "
 _LEVELS = dict(enumerate(("ok", "warn", "error", "stale")))  # of a diagnostic_msgs/DiagnosticStatus
 _SILENT_PERIODS, _SILENT = 3.0, 3.0  # a joint is silent after so many periods and seconds
 _MOST_JOINTS, _MOST_VALUES, _LONGEST = 1024, 256, 2000  # a hostile sender cannot fill memory
-_WHOLE_DIGITS, _NAMES_SHOWN = 15, 5  # every reader of JSON keeps such a whole number
+_WHOLE_DIGITS, _NAMES_SHOWN = 15, 5  # digits that every reader of JSON keeps; names listed
 
 
 class JointView(NamedTuple):
-    """The last DiagnosticStatus of a joint, with numbers for texts, and its age [s] when looked at.
+    """The last DiagnosticStatus of a joint, with texts turned into numbers, and its `age` when viewed [s].
 
     Reports of a silent joint have stopped. A stale one is silent, or its node gets no samples.
     """
@@ -38,20 +38,20 @@ class JointView(NamedTuple):
     stale: bool = False
 
     def number(self, key: str) -> float:
-        """A value that is a number; nan where there is none."""
+        """A value that is a number; nan if there is none."""
         value = self.values.get(key)
         return float(value) if isinstance(value, (int, float)) else math.nan
 
 
 @dataclass
 class Watch:
-    """What came of all joints and nodes, or of some, in so many `messages`; `answers` of nodes asked."""
+    """Reports of all joints and nodes, or of some, in so many `messages`; `answers` of nodes to requests."""
 
     joints: Collection[str] = ()
     namespaces: Collection[str] = ()
     messages: int = 0
     answers: dict[str, str] = field(default_factory=dict)
-    # By topic, hardware_id and joint: the last report, its level, when it came and how long after another.
+    # By topic, hardware_id and joint: the last report, its level, its time, the time since the one before.
     _seen: dict[tuple[str, str, str], tuple[JointView, int, float, float]] = field(default_factory=dict)
 
     def take(self, topic: str, array: Any, now: float) -> None:
@@ -69,7 +69,7 @@ class Watch:
                 self._seen[key] = view, level, now, period
 
     def view(self, now: float) -> list[JointView]:
-        """The joints asked for that were reported, at a time [s]: the worst first, by node and name."""
+        """The chosen joints that were reported, as of a time [s]: the worst first, then by node and name."""
         below = tuple(f"/{namespace.strip('/')}/".replace("//", "/") for namespace in self.namespaces)
         views = []
         for view, level, arrived, period in self._seen.values():
@@ -82,11 +82,11 @@ class Watch:
         return [view for *_, view in sorted(views, key=lambda row: row[:-1])]
 
     def missing(self) -> list[str]:
-        """Joints that were asked for and not reported yet."""
+        """Chosen joints that were not reported yet."""
         return [joint for joint in self.joints if joint not in {view.joint for view in self.view(0.0)}]
 
     def lack(self, until: str) -> str:
-        """What was not reported until now, which is said in words, and what is there; empty where all was."""
+        """Text on missing reports and those that came, `until` a time in words; empty if none is missing."""
         missing, seen = self.missing(), [f"{view.node} {view.joint}" for view, *_ in self._seen.values()]
         none = "only diagnostics of others came" if self.messages else "no diagnostics: same ROS_DOMAIN_ID?"
         there = f"there is {listed(seen, _NAMES_SHOWN)}" if seen else none

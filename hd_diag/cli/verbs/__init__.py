@@ -27,9 +27,9 @@ from hd_diag.memory import is_memory
 from hd_diag.ros.stop_signals import signalled
 
 FAULT = "an error of hd-diag itself"
-"""What is said of an error that nobody expected."""
+"""Words for an unexpected error."""
 
-_TRACEBACK = "HD_DIAG_TRACEBACK"  # environment variable: errors that nobody expected are raised
+_TRACEBACK = "HD_DIAG_TRACEBACK"  # environment variable: unexpected errors are raised
 _LONGEST_NAME = 200  # characters of a file's name that are shown
 
 
@@ -77,9 +77,9 @@ def _checked_output() -> Iterator[None]:
 
 
 def _outcome(error: Exception) -> tuple[int, str]:
-    """Exit code and line for an error that ended a verb; 1 is left to findings, whatever goes wrong.
+    """Exit code and line for an error that ended a verb; 1 is reserved for findings, whatever goes wrong.
 
-    An error of the program itself is raised where the environment variable `_TRACEBACK` is set.
+    An error of the program itself is raised if the environment variable `_TRACEBACK` is set.
     """
     if code := signalled(error):
         return code, "interrupted"
@@ -139,5 +139,5 @@ def main() -> None:
     # Matrices are small: more threads only wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if "_HD_DIAG_COMPLETE" in os.environ:
-        import_module("hd_diag.cli.completion")  # how bash asks
+        import_module("hd_diag.cli.completion")  # a request from bash
     cli()

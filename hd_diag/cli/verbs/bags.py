@@ -1,4 +1,4 @@
-"""What verbs about bags take, and their help."""
+"""Options and help of the verbs about bags."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ SHORT = {
     "runout_direction_deg": ("runout.direction", _DEGREE, "Its direction at input angle 0 [degrees]."),
     "datum_mm": ("circular_spline_datum", 1e-3, "Datum radius of the circular spline's slots [mm]."),
 }
-"""Options for the values most asked for: parameter, unit in SI, and help."""
+"""Options for common values: parameter, unit in SI, and help."""
 
 
 @options.verb("simulate --out joint.mcap --eccentricity-um 18")

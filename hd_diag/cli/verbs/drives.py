@@ -1,4 +1,4 @@
-"""What verbs about a drive take, and their help."""
+"""Options and help of the verbs about a drive."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ LIMITS = {
     "stiffness_loss": ("stiffness_loss", 1.0, _SHARE, "the share of torsional stiffness lost [-]"),
     "te_arcsec": ("transmission_error", ARCSEC, click.FloatRange(0.0), "the error, peak to peak [arcsec]"),
 }
-"""Options that take the place of configured limits: criterion, unit in SI, and what the option takes."""
+"""Options that replace configured limits: criterion, unit in SI, type and meaning of the value."""
 
 
 @options.verb("tolerance --config arm.yaml --joint elbow --te-arcsec 20")

@@ -1,4 +1,4 @@
-"""What verbs about measured joints take, and their help."""
+"""Options and help of the verbs about measured joints."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What verbs with a running node take, and their help."""
+"""Options and help of the verbs with a running node."""
 
 from __future__ import annotations
 

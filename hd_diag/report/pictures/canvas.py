@@ -20,7 +20,7 @@ _COLUMNS = 2  # of a legend: three do not fit a phone
 _ROW = 12.5  # height of a legend's row [points]
 
 INK = "#15181d"
-"""Letters, axes and measured values; a page may replace it by the colour of its own text."""
+"""Colour of letters, axes and measured values; a page may replace it by the colour of its own text."""
 
 GRID = "#8a9099"
 
@@ -31,7 +31,7 @@ STAGES: tuple[tuple[str, Any], ...] = ((NOMINAL, (0, (2, 1.2))), (REFIT, (0, (6,
 
 ACCENT = "#a8508b"
 SERIES = ("#0072b2", "#00875f", "#b07800", "#d55e00", "#a8508b", "#5a6b7b")
-"""For curves of one family, which differ in their dashes too."""
+"""Colours of curves of one family, which also differ in their dashes."""
 
 DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (2, 1.2)), (0, (6, 1.5, 1.5, 1.5)), (0, (1, 1)), "--")
 
@@ -61,7 +61,7 @@ STYLE: Any = {
     "lines.linewidth": 1.3,
     # A name such as $\frac$ is letters, not mathematics.
     "text.parse_math": False,
-    # The same picture is the same file: ids come from a fixed salt, letters stay letters.
+    # Equal pictures give equal files: ids come from a fixed salt, letters stay letters.
     "svg.hashsalt": "hd_diag",
     "svg.fonttype": "none",
     "pdf.fonttype": 42,
@@ -71,7 +71,7 @@ STYLE: Any = {
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """The style of this package, as long as a figure is drawn or written."""
+    """Style of this package while a figure is drawn or written."""
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(STYLE)
@@ -90,7 +90,7 @@ def sheet(height: float, rows: int = 1, **options: Any) -> tuple[Figure, list[Ax
 
 
 def titled(axes: Axes, title: str, raised: float = 0.0) -> None:
-    """A title and under it a legend, above the panel, where they cover nothing, raised by some points."""
+    """Put a title and a legend above the panel, where they cover nothing, `raised` by some points."""
     handles, labels = axes.get_legend_handles_labels()
     rows = -(-len(labels) // _COLUMNS)
     axes.set_title(title, pad=5.0 + raised + _ROW * rows)
@@ -120,7 +120,7 @@ def turn(axes: Axes, label: str) -> None:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as SVG, PDF or PNG, by the file's suffix: the same figure is the same file."""
+    """Write a figure as SVG, PDF or PNG, by the file's suffix; equal figures give equal files."""
     kind = path.suffix.removeprefix(".").lower()
     undated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}[kind]
     with styled():

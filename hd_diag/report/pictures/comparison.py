@@ -22,22 +22,22 @@ from hd_diag.report.torsion import Torsion, k_shown
 
 _TURN = 2.0 * np.pi
 _ARCMIN = 60.0 * ARCSEC
-_WIDTHS = (0.8, 0.9, 1.3)  # of the stages' spectra: the last one is drawn over the others
+_WIDTHS = (0.8, 0.9, 1.3)  # line widths of the stages' spectra: the last one is drawn over the others
 _DECADES = 4.0
 _RAISED = 16.0  # room for the marks' numbers [points]
-_CLOSE = 0.045  # of the width; marks nearer to each other share the height
-_LEAST_LABELLED = 0.1  # width of a range over the greatest torque: a wider one has room for its name
+_CLOSE = 0.045  # distance over the width: nearer marks get different heights
+_LEAST_LABELLED = 0.1  # least width of a labelled range over the greatest torque
 _FLOOR = 0.4  # height of the noise floor at each rung
 _IN_TURN: Any = {"fmt": "o", "ms": 5, "capsize": 3, "color": canvas.EXTENDED, "label": "each stretch in turn"}
 _NEVER_FITTED: Any = {"ms": 6.5, "mfc": "none", "mew": 1.2, "color": REFIT, "label": "never fitted"}
-_NONE_WORSE = 60.0  # log odds, beyond which a bar is cut
+_NONE_WORSE = 60.0  # log odds above which a bar is cut
 _BESIDE: Any = {"xytext": (7.0, 0.0), "textcoords": "offset points", "ha": "left", "va": "center"}
-_ROOM = 1.9  # factor to the right of the largest for its number
+_ROOM = 1.9  # factor of free room right of the largest value, for its number
 
 
 @drawn
 def binned(found: BinnedResiduals, by_torque: bool) -> Figure:
-    """Error over torque, or ripple over a turn of the wave generator, above, residual below."""
+    """Above: error over torque, or ripple over a turn of the wave generator. Below: residual."""
     scale = 1.0 if by_torque else 180.0 / np.pi
     figure, (top, bottom) = sheet(4.6, 2, sharex=True)
     place = scale * found.measured.center
@@ -59,7 +59,7 @@ def binned(found: BinnedResiduals, by_torque: bool) -> Figure:
 
 
 def _spread(axes: Axes, place: Floats, band: Band, colour: str) -> None:
-    """From the 10 % to the 90 % quantile of each bin."""
+    """Fill each bin from its 10 % to its 90 % quantile."""
     axes.fill_between(place, band.low / ARCSEC, band.high / ARCSEC, color=colour, alpha=0.18, lw=0)
 
 
@@ -84,7 +84,7 @@ def over_time(found: OverTime) -> Figure:
 def orders(spectra: Mapping[str, tuple[Floats, Floats]], marks: Sequence[float], highest: float) -> Figure:
     """Amplitude [rad] of the residual over the order of the wave generator's turn, up to the highest.
 
-    Marks are orders, rising; they get the numbers 1, 2, ...
+    `marks` are rising orders; they get the numbers 1, 2, ...
     """
     figure, (axes,) = sheet(3.1)
     for (colour, _), width, (name, (order, amplitude)) in zip(STAGES, _WIDTHS, spectra.items(), strict=False):
@@ -119,7 +119,7 @@ def ripple(found: Ripple) -> Figure:
 
 @drawn
 def torsion_curve(found: Torsion, judged: bool) -> Figure:
-    """Error over torque, of the configured and, where it was judged, of the fitted drive."""
+    """Error over torque: configured and fitted drive if the joint was judged, otherwise simulated alone."""
     figure, (axes,) = sheet(3.6)
     torque, most = found.torque, float(found.torque[-1])
     axes.fill_between(torque, found.low / _ARCMIN, found.high / _ARCMIN, color=REFIT, alpha=0.18, lw=0)
@@ -150,7 +150,7 @@ def torsion_curve(found: Torsion, judged: bool) -> Figure:
 
 @drawn
 def remainders(curves: Sequence[Curve]) -> Figure:
-    """Each over what it follows."""
+    """Each remainder over the variable that it follows."""
     figure, axes = sheet(1.0 + 1.3 * len(curves), len(curves))
     for panel, curve in zip(axes, curves, strict=True):
         panel.plot(curve.place, curve.part / ARCSEC, ".", ms=2.5, color=canvas.EXTENDED)
@@ -161,7 +161,7 @@ def remainders(curves: Sequence[Curve]) -> Figure:
 
 @drawn
 def evidence(weighed: Mapping[str, Mapping[str, float]]) -> Figure:
-    """By how much rivals of each cause are worse: log odds by name; the empty name means no cause."""
+    """Log odds against the rivals of each cause, by name; the empty name means no cause."""
     rows = [(name, other, -odds[other]) for name, odds in weighed.items() for other in _by_odds(name, odds)]
     figure, (axes,) = sheet(0.9 + 0.42 * len(rows))
     for place, (name, other, worse) in enumerate(rows):
@@ -178,13 +178,13 @@ def evidence(weighed: Mapping[str, Mapping[str, float]]) -> Figure:
 
 
 def _by_odds(name: str, odds: Mapping[str, float]) -> list[str]:
-    """Names of what was weighed in the place of a cause, nothing first, then the nearest."""
+    """Names of the alternatives of a cause: no cause first, then the most probable."""
     return sorted((other for other in odds if other != name), key=lambda one: (one != "", -odds[one]))
 
 
 @drawn
 def model_ladder(rungs: Sequence[Rung], held_out: Rms) -> Figure:
-    """Rungs from top to bottom beside the data that were never fitted, and the noise floor."""
+    """Rungs from top to bottom, residuals on data that were never fitted, and the noise floor."""
     figure, (axes,) = sheet(1.1 + 0.46 * len(rungs))
     axes.set_xscale("log")
     place = np.arange(len(rungs))

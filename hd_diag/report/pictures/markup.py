@@ -1,4 +1,4 @@
-"""A figure as SVG within a page: no style or script, ids of its own, a text for those who cannot see it."""
+"""A figure as SVG within a page: no style or script, ids of its own, an alternative text."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _FONT = re.compile(r"(?:(italic|oblique)\s+)?(?:(bold|\d{3})\s+)?([\d.]+)px\s+.*
 _NUMBER = re.compile(r"-?\d+\.\d+")
 _REFERENCE = re.compile(r"url\(#([^)]+)\)")
 _COORDINATES = ("d", "points", "x", "y", "transform", "width", "height", "x1", "y1", "x2", "y2")
-# What a style may say that an attribute can say too; anything else goes.
+# Properties of a style that are also attributes; all others are dropped.
 _ATTRIBUTES = re.compile(
     r"clip-(path|rule)|fill(-opacity|-rule)?|image-rendering|opacity|stroke(-\w+)?|text-anchor"
 )
@@ -25,10 +25,10 @@ Xml.register_namespace("xlink", _XLINK)
 
 
 def inline_svg(figure: Figure, name: str, title: str, description: str) -> str:
-    """SVG element for a page, without styles, so that it may forbid them; ink is the page's text colour.
+    """SVG element for a page. Without styles, so that the page may forbid them; ink is its text colour.
 
-    The name stands before every id, so that pictures of one page share none: a letter, then letters, digits
-    and hyphens. The description says what the picture shows, with its numbers, to those who cannot see it.
+    `name` begins every id, so that pictures of one page share none; it is a letter, then letters, digits and
+    hyphens. `description` says what the picture shows, with its numbers, to those who cannot see it.
     """
     buffer = io.BytesIO()
     with styled():
@@ -46,7 +46,7 @@ def inline_svg(figure: Figure, name: str, title: str, description: str) -> str:
 
 
 def _plain(element: Xml.Element) -> None:
-    """Attributes instead of a style; coordinates to 0.01 points; ink as the text around."""
+    """Turn a style into attributes, round coordinates to 0.01 points, set ink to the page's text colour."""
     for declaration in element.attrib.pop("style", "").split(";"):
         key, _, value = (part.strip() for part in declaration.partition(":"))
         if key == "font" and (found := _FONT.fullmatch(value)):  # the family is the page's
@@ -64,7 +64,7 @@ def _plain(element: Xml.Element) -> None:
 
 
 def _own_ids(root: Xml.Element, name: str) -> None:
-    """Ids that something refers to, with the picture's name before them; no others."""
+    """Keep only ids that something refers to, and put the picture's name before them."""
     used = set()
     for element in root.iter():
         for key, value in element.attrib.items():

@@ -1,4 +1,4 @@
-"""What `hd-diag mesh` writes as a table, drawn: teeth of one moment, or a sweep over angle or torque."""
+"""Picture of a table that `hd-diag mesh` writes: teeth of one moment, or a sweep over angle or torque."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hd_diag.report.pictures.canvas import DASHES, SERIES, drawn, sheet, titled
 
 @drawn
 def table_picture(table: Mapping[str, Floats]) -> Figure:
-    """Backlash and load over the teeth; or error and largest force over what was swept."""
+    """Backlash and load over the teeth, or error and largest force over the swept angle or torque."""
     figure, (top, bottom) = sheet(5.2, 2, sharex=True)
     if "tooth" in table:
         for colour, dashes, sign in zip(SERIES, DASHES, "+-", strict=False):

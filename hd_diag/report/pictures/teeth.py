@@ -15,15 +15,15 @@ from hd_diag.arrays import Floats
 from hd_diag.report.pictures.canvas import ACCENT, INK, NOMINAL, REFIT, WIDTH, drawn, sheet, turn
 from hd_diag.report.teeth import TeethOverTurn
 
-_LEAST = 1e-6  # [m]
-_LEAST_LOAD = 1.0  # end of the scale [N]
+_LEAST = 1e-6  # least interference at the end of the scale [m]
+_LEAST_LOAD = 1.0  # least load at the end of the scale [N]
 _EMPTY = (0.54, 0.56, 0.6, 0.25)
-_PLACES = np.radians(np.arange(11.25, 360.0, 22.5))  # where the radius may be labelled [rad]
+_PLACES = np.radians(np.arange(11.25, 360.0, 22.5))  # directions in which the radius may be labelled [rad]
 
 
 @drawn
 def tooth_maps(found: TeethOverTurn) -> Figure:
-    """Maps of tooth over input angle; where the record never was is marked under them."""
+    """Maps of tooth over input angle; angles that the record never reached are marked under them."""
     figure, (top, bottom) = sheet(6.2, 2, sharex=True)
     least = min(float(np.nanmin(found.backlash)), -_LEAST)
     near = np.where(found.backlash < found.free, found.backlash, np.nan)
@@ -57,7 +57,7 @@ def _map(figure: Figure, axes: Axes, table: Floats, colours: str, norm: Any, tit
 
 @drawn
 def around_the_gear(found: TeethOverTurn) -> Figure:
-    """Two dials, seen along the gear's axis: the moment of the greatest load, and the worst of the turn."""
+    """Dials of load and backlash along the gear's axis: moment of greatest load, and the turn's extremes."""
     figure = Figure(figsize=(WIDTH, 6.6), layout="constrained")
     dials = top, bottom = figure.subplots(2, 1, subplot_kw={"projection": "polar"})
     place, closed = found.tooth_direction, np.append(found.direction, found.direction[0])
@@ -81,7 +81,7 @@ def around_the_gear(found: TeethOverTurn) -> Figure:
 
 
 def _dial(axes: PolarAxes, long_axis: float, eccentricity: float | None) -> None:
-    """The long axis dashed, the direction of the displacement as an arrow, labels where there is room."""
+    """Draw the long axis dashed, the displacement's direction as an arrow, and labels where there is room."""
     low, high = axes.get_ylim()
     axes.plot([long_axis, long_axis + np.pi], [high, high], color=INK, lw=0, marker="s", ms=4, clip_on=False)
     for side in (0.0, np.pi):

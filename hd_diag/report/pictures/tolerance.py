@@ -1,4 +1,4 @@
-"""What an assembly may have: criteria over eccentricity and tilt, yield over tolerance, what matters."""
+"""Pictures of a tolerance study: criteria over eccentricity and tilt, yield over tolerance, sensitivity."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from hd_diag.tolerance.study import Study, Tilts, Yield
 
 __all__ = ["save", "tolerance_picture"]
 
-_WIDTH, _PANEL = 5.6, 2.9  # of a panel with its legend [inch]
-_BAR = 0.26  # [inch]
+_WIDTH, _PANEL = 5.6, 2.9  # width and height of a panel with its legend [inch]
+_BAR = 0.26  # height of a factor's row [inch]
 _LINES: list[dict[str, Any]] = [
     {"color": colour, "ls": dashes, "label": words(criterion.name)}
     for criterion, colour, dashes in zip(CRITERIA, SERIES, DASHES, strict=False)
@@ -40,16 +40,16 @@ def tolerance_picture(found: Study) -> Figure:
         _yield(axes[1 + (tilts is not None)], drawn_, found.question.target)
     if indices is not None:
         _sensitivity(axes[-1], indices)
-    for panel in axes:  # above it, where it covers nothing
+    for panel in axes:  # the legend above it, where it covers nothing
         panel.legend(loc="lower left", bbox_to_anchor=(0.0, 1.02), ncols=3)
     return figure
 
 
 def _limits(axes: Axes, found: Study) -> None:
-    """Every criterion over its limit at the first torque, and where it crosses."""
+    """Every criterion divided by its limit at the first torque, over eccentricity, with its crossing."""
     for line, criterion, limit in zip(_LINES, CRITERIA, found.limits[0], strict=True):
         scale = limit.limit if limit.limit > 0.0 else 1.0 / criterion.scale
-        offset = 1.0 if limit.limit <= 0.0 else 0.0  # a limit of zero is crossed at 1 all the same
+        offset = 1.0 if limit.limit <= 0.0 else 0.0  # a limit of zero is crossed at 1 too
         values = (limit.scanned[1] - limit.limit * (offset > 0.0)) / scale + offset
         axes.plot(limit.scanned[0] * 1e6, values, **line)
         if limit.reached:
