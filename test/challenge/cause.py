@@ -1,4 +1,4 @@
-"""What a fault is: where it may enter, and what it sees of the drive. Sizes are SI."""
+"""Base class of faults: the places where a fault can act, and the scene that it gets. Sizes are SI."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from challenge.design import SIZE_25, Array, Design
 
 @dataclass(frozen=True)
 class Scene:
-    """What really happens, arrays (n,): time [s], motor angle [rad], its speed, torque, temperature, run."""
+    """True motion, arrays (n,): time [s], motor angle [rad], motor speed, torque, temperature, run index."""
 
     time: Array
     motor: Array
@@ -26,7 +26,7 @@ class Scene:
 
     @property
     def acceleration(self) -> Array:
-        """Of the motor [rad/s²]."""
+        """Acceleration of the motor [rad/s²]."""
         return np.gradient(self.speed, self.time)
 
     @property
@@ -37,10 +37,10 @@ class Scene:
 
 @dataclass(frozen=True)
 class Cause:
-    """A fault by its name in a catalogue; what it does not override stays as it is.
+    """A fault with its catalogue name; methods that a subclass does not override change nothing.
 
-    It is as large as its first field says, or those that ``sizes`` names. ``may_be``: names of a catalogue by
-    which it may be called, though none of them is wanted.
+    ``sizes`` names the fields that :meth:`scaled` multiplies, by default the first field. A diagnosis may,
+    but need not, give a name from ``may_be``.
     """
 
     name: ClassVar[str] = ""
@@ -56,31 +56,31 @@ class Cause:
         return None
 
     def shaft(self, angle: Array) -> Array:
-        """Angle of the wave generator's hub [rad] from the motor's."""
+        """Angle of the wave generator's hub [rad] at a motor angle [rad]."""
         return angle
 
     def added(self, scene: Scene) -> Array | float:
-        """Angle of the output [rad] beside kinematics and mesh."""
+        """Angle [rad] added to the output angle of kinematics and mesh."""
         return 0.0
 
     def carried(self, scene: Scene, ripple: Array) -> Array | float:
-        """Angle of the output [rad] that the gear's ripple excites beside itself."""
+        """Angle [rad] added to the output because the gear's ripple excites it, without the ripple itself."""
         return 0.0
 
     def load(self, scene: Scene) -> Array | float:
-        """Torque [N m] that the mesh bears beside the link's."""
+        """Torque [N m] on the mesh in addition to the link's."""
         return 0.0
 
     def input_reading(self, angle: Array) -> Array:
-        """Reported input angle [rad]."""
+        """Reported input angle [rad] for an input angle."""
         return angle
 
     def output_reading(self, angle: Array) -> Array:
-        """Reported output angle [rad]."""
+        """Reported output angle [rad] for an output angle."""
         return angle
 
     def torque_reading(self, torque: Array, scene: Scene) -> Array:
-        """Reported torque [N m] from what the sensors before report."""
+        """Reported torque [N m]; ``torque`` already contains the causes before this one."""
         return torque
 
     @property

@@ -1,9 +1,9 @@
-"""Clearance of one tooth pair by brute force, tabulated once a design over all places and displacements.
+"""Clearance of one tooth pair by brute force, tabulated once per design over all places and displacements.
 
-Where the ideal drive puts a tooth in its slot depends on one number, its place u on the neutral curve (angle
-from the long axis). All errors of assembly add a translation (dx, dy) of the tooth in the slot's frame, x
-along the slot's axis away from the centre, y counter-clockwise. The table holds the rotation b(u, dx, dy) of
-the cup that closes the + flank; the - flank is its mirror image, b(-u, dx, -dy).
+In the ideal drive the pose of a tooth in its slot depends on one number, its place u on the neutral curve
+(angle from the long axis). All assembly errors add a translation (dx, dy) of the tooth in the slot's frame,
+x along the slot's axis away from the centre, y counter-clockwise. The table holds the rotation b(u, dx, dy)
+of the cup that closes the + flank. The - flank is its mirror image, b(-u, dx, -dy).
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from reference import polyline
 from challenge.design import Array, Design
 
 STEPS = 8  # nodes of u per tooth pitch
-REACH = 0.175  # of the teeth, either side of the long axis, that can touch
-FARTHEST = 70e-6  # [m], of a displacement; of a size 25 like all lengths here
+REACH = 0.175  # share of the teeth on each side of the long axis that can touch
+FARTHEST = 70e-6  # [m], largest displacement; this and all lengths here are for size 25
 DX_STEP = 5e-6
 DX = np.arange(-14, 15)
 DY = np.linspace(-1, 1, 5)
@@ -33,12 +33,12 @@ DATUM_STEP = 12e-6
 DATUM = np.arange(-3, 4)
 TOOTH_POINTS, WALL_POINTS = 400, 8000
 NEVER = 1.0  # [rad], clearance of a pair that cannot touch
-_KEPT = 30 * 86400.0  # [s], that a table stays on the disk unread
+_KEPT = 30 * 86400.0  # [s]; tables unread for longer are deleted
 
 
 @dataclass(frozen=True)
 class Pose:
-    """Tooth in its slot's frame at a place of the neutral curve, arrays (2, n): origin [m] and axis."""
+    """Poses of a tooth in its slot's frame, arrays (2, n): origin [m] and unit axis."""
 
     origin: Array
     axis: Array
@@ -50,21 +50,21 @@ class Pose:
 
 
 def reach(design: Design) -> int:
-    """Teeth either side of the long axis that can touch."""
+    """Number of teeth on each side of the long axis that can touch."""
     return round(REACH * design.teeth)
 
 
 def nodes(design: Design) -> NDArray[np.intp]:
-    """Places u of the table in parts of a tooth pitch."""
+    """Places u of the table, in units of a tooth pitch over STEPS."""
     last = STEPS * (reach(design) + 1) + 1
     return np.arange(-last, last + 1)
 
 
 def ideal_pose(design: Design) -> Pose:
-    """Pose of a tooth of the drive without errors at all nodes."""
+    """Poses at all nodes of a tooth of the ideal drive."""
     u = nodes(design) * design.tooth_pitch / STEPS
     point, normal = polyline.neutral_point(design.ring_radius * u, design.shape)
-    turn = -u * design.teeth / design.slots  # of the long axis in the slot's frame
+    turn = -u * design.teeth / design.slots  # angle of the long axis in the slot's frame
     c, s = np.cos(turn), np.sin(turn)
     rotate = np.array([[c, -s], [s, c]])
     return Pose(np.einsum("ijn,jn->in", rotate, point), np.einsum("ijn,jn->in", rotate, normal))
@@ -82,7 +82,10 @@ def _tooth(shape: polyline.Drive) -> Array:
 
 
 def _wall(design: Design, datum: float) -> tuple[Array, Array]:
-    """Radius and angle of the + wall, continued straight inwards: a pair out of reach stays smooth there."""
+    """Radius [m] and angle [rad] of the + wall.
+
+    A straight line continues the wall inwards, so that clearance stays smooth for pairs out of reach.
+    """
     drive = dataclasses.replace(design.shape, circular_spline_datum=datum)
     radius, angle = polyline._slot_polar(drive, WALL_POINTS)
     slope = (angle[20] - angle[0]) / (radius[20] - radius[0])
@@ -91,11 +94,11 @@ def _wall(design: Design, datum: float) -> tuple[Array, Array]:
 
 
 def _closing(radius: Array, angle: Array, wall: tuple[Array, Array]) -> Array:
-    """Least angle (n,) from polylines (n, points) to the wall, from the lower of both tips on outwards."""
+    """Least angle (n,) from polylines (n, points) to the wall, outwards from the lower of both tips."""
     first = wall[0][1]
     low = np.minimum(first, radius[:, -1:])
     gap = np.where(radius >= low, np.interp(radius, *wall) - angle, np.inf).min(axis=1)
-    # The wall's tip corner, against the segment of the tooth that it faces.
+    # The wall's tip corner against the tooth segment that faces it.
     after = np.clip(np.argmax(radius >= first, axis=1), 1, None)
     rows = np.arange(len(radius))
     r0, r1, a0, a1 = (v[rows, i] for v in (radius, angle) for i in (after - 1, after))
@@ -121,7 +124,7 @@ def calculated(design: Design) -> Array:
 
 
 def data(design: Design) -> Array:
-    """Radii of the table from which slots are measured [m]."""
+    """Radii from which slots are measured, those of the table [m]."""
     return design.shape.circular_spline_datum + design.module * DATUM_STEP * DATUM
 
 
@@ -132,13 +135,13 @@ def _key(design: Design) -> str:
 
 
 def cache_folder() -> Path:
-    """Folder of the user's cache in which tables are kept."""
+    """Folder in the user's cache for the tables."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hd_diag-challenge"
 
 
 @functools.lru_cache(maxsize=4)
 def table(design: Design) -> Array:
-    """Table of :func:`calculated`, from the disk where a run has left it."""
+    """Table of :func:`calculated`, cached on disk."""
     path = cache_folder() / f"{design.name.replace('/', '-')}-{_key(design)}.npy"
     if path.exists():
         path.touch()
@@ -150,7 +153,7 @@ def table(design: Design) -> Array:
             old.unlink(missing_ok=True)
     with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
         np.save(file, found)
-    os.replace(file.name, path)  # whole or not at all, also where two runs calculate it
+    os.replace(file.name, path)  # atomic, also if two runs calculate the table
     return found
 
 
@@ -165,7 +168,7 @@ def _cubic(t: Array) -> tuple[Array, Array]:
 
 
 def weights(t: Array) -> tuple[Array, Array, Array, Array]:
-    """The weights alone, one by one."""
+    """Lagrange weights of nodes -1, 0, 1, 2 at t, without derivative."""
     return (
         -t * (t - 1) * (t - 2) / 6,
         (t + 1) * (t - 1) * (t - 2) / 2,
@@ -181,7 +184,7 @@ def _cell(x: Array, first: float, step: float, count: int) -> tuple[Array, Array
 
 
 def at_datum(design: Design, datum: float) -> Array:
-    """Polynomials (u, dx, 5) in dy over its farthest, highest power first, for a datum [m]."""
+    """Polynomials (u, dx, 5) in dy / farthest dy, highest power first, at a datum [m]."""
     radii = data(design)
     if not radii[0] <= datum <= radii[-1]:
         raise ValueError(f"datum {datum} m lies outside the table, {radii[0]} to {radii[-1]} m")
@@ -192,7 +195,7 @@ def at_datum(design: Design, datum: float) -> Array:
 
 @dataclass(frozen=True)
 class Clearance:
-    """Of the + flank: rotation that closes it [rad], its gradient [rad/m] with dx and dy."""
+    """Clearance of the + flank: rotation that closes it [rad], and its gradient [rad/m] by dx and dy."""
 
     rotation: Array
     by_dx: Array
@@ -202,7 +205,7 @@ class Clearance:
 def interpolated(
     plane: Array, node: NDArray[np.intp], dx: Array, dy: Array, module: float = 1.0
 ) -> Clearance:
-    """Clearance at nodes (their indices) and displacements [m], arrays of one shape."""
+    """Clearance at node indices and displacements [m], arrays of one shape."""
     most, step, farthest = max(np.abs(dx).max(), np.abs(dy).max()), module * DX_STEP, module * FARTHEST
     if most > farthest:
         raise ValueError(f"displacement of {most} m lies outside the table")

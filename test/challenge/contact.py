@@ -1,4 +1,4 @@
-"""Torsion of a drive, sample by sample: all tooth pairs of both lobes, balanced by Newton's method."""
+"""Torsion of a drive, sample by sample: Newton's method balances all tooth pairs of both lobes."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from challenge.clearances import (
 from challenge.design import Array, Design
 from challenge.truth import Base
 
-WIDEST = 5e-3  # [rad]; no pair with more clearance is ever loaded
-_CHUNK = 1024  # samples balanced together: the arrays stay in the processor's cache
-_FRACTIONS = np.arange(-1, STEPS + 2)  # nodes between two slots, with what a cubic needs beside them
+WIDEST = 5e-3  # [rad]; pairs with more clearance are never loaded
+_CHUNK = 1024  # samples balanced together, so that the arrays fit into the processor's cache
+_FRACTIONS = np.arange(-1, STEPS + 2)  # nodes of one slot pitch, plus the neighbours for a cubic
 
 
 @dataclass(frozen=True)
 class Flaws:
-    """Departures of single teeth and slots from the ideal drive; a number is one of all.
+    """Departures of single teeth and slots from the ideal drive; a plain number applies to all of them.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Flaws:
         return any(np.any(each) for each in (self.tooth_wear, self.tooth_softness, self.tooth_along))
 
     def of(self, design: Design) -> Flaws:
-        """The same for each tooth and slot of a design."""
+        """These flaws as arrays with one value for each tooth and slot of a design."""
         shapes = {"slot": (design.slots,), "tooth": (design.teeth,)}
         full = {
             name: np.broadcast_to(value, (2,) * name.endswith("wear") + shapes[name.split("_")[0]])
@@ -69,7 +69,8 @@ class Flaws:
 def _closed_by_moving_along(design: Design, pose: Pose, node: NDArray[np.intp], found: Clearance) -> Array:
     """Rotation [rad/m] by which a + flank closes when its tooth moves along the neutral curve.
 
-    A tooth that moves along leans with the curve: it turns about the axis, and is carried back to the curve.
+    A tooth that moves along the curve also leans with it: it turns about the gear's axis, then a translation
+    returns it to the curve.
     """
     direction = np.unwrap(np.arctan2(pose.axis[1], pose.axis[0]))
     turn = np.gradient(direction, design.tooth_pitch / STEPS) + design.teeth / design.slots
@@ -80,10 +81,10 @@ def _closed_by_moving_along(design: Design, pose: Pose, node: NDArray[np.intp], 
 
 
 class Gear:
-    """Clearances of a drive over a turn of the wave generator, ready to be loaded.
+    """Clearances of a drive over a turn of the wave generator, from which torsion follows.
 
-    Tables are (slot, fraction of a slot pitch, pair); a pair is a lobe, a slot counted from the lobe's and a
-    flank. Signs: a + flank holds cup torque when the torsion exceeds its clearance.
+    Tables have shape (slot, fraction of a slot pitch, pair). Each pair is a lobe, a slot relative to the slot
+    under that lobe, and a flank. A + flank holds cup torque when the torsion exceeds its clearance.
     """
 
     def __init__(self, base: Base, flaws: Flaws | None = None) -> None:
@@ -108,14 +109,14 @@ class Gear:
         self._arm = arm[..., near]
         self._along = _closed_by_moving_along(self.design, pose, mirrored, found)[..., near]
         placed = Pose(pose.origin[:, mirrored], pose.axis[:, mirrored])
-        # How far a tooth's tip lies beyond the slot's [m]; without overlap a pair cannot touch.
+        # Radial overlap of the tooth's tip with the slot's [m]; without overlap a pair cannot touch.
         beyond = tip(self.design, placed, dx, dy * flank) - self.design.shape.circular_spline_tip_radius
         self._reach = beyond[..., near]
 
     def _displacement(self, slot: NDArray[np.intp], lobe: Array, node: Array) -> tuple[Array, Array]:
-        """Translation of the tooth in its slot's frame [m] that errors of assembly and the slot's give."""
+        """Translation [m] of the tooth in its slot's frame, from assembly errors and slot displacement."""
         b, axis = self.base, slot * self.design.slot_pitch
-        # Of the runout, seen from the slot.
+        # Angle of the runout in the slot's frame.
         ahead = -node / STEPS * self.design.slot_pitch + np.pi * lobe + b.runout_psi
         dx = b.e * np.cos(b.psi - axis) + b.runout * np.cos(ahead) - self.flaws.slot_out[slot]
         dy = b.e * np.sin(b.psi - axis) + b.runout * np.sin(ahead) - self.flaws.slot_along[slot]
@@ -150,7 +151,7 @@ class Gear:
         return table[row, cell + 1] * (1 - t)[:, None] + table[row, cell + 2] * t[:, None]
 
     def torsion(self, wave_generator_angle: Array, cup_torque: Array) -> Array:
-        """Torsion (n,) [rad] at angles (n,) [rad] and cup torques (n,) [N m]; in a true gap the middle."""
+        """Torsion (n,) [rad] at angles (n,) [rad] and cup torques (n,) [N m]; unloaded, a gap's middle."""
         angle, torque = np.broadcast_arrays(np.atleast_1d(wave_generator_angle), np.atleast_1d(cup_torque))
         beta = np.empty(len(angle))
         for start in range(0, len(angle), _CHUNK):
@@ -160,14 +161,14 @@ class Gear:
 
 
 def balanced(b: Array, stiffness: Array, flank: Array, torque: Array) -> Array:
-    """Torsion (n,) at which flanks of clearance b and stiffness (n, pairs) hold a torque (n,)."""
+    """Torsion (n,) [rad] at which flanks of clearance b and stiffness (n, pairs) hold a torque (n,) [N m]."""
     plus, minus = flank > 0, flank < 0
     gap = b[:, plus].min(axis=1), b[:, minus].min(axis=1)
     middle = (gap[0] - gap[1]) / 2
     free = (torque == 0) & (gap[0] + gap[1] > 0)
-    edge = b * flank  # torsion at which a flank begins to carry
+    edge = b * flank  # torsion at which a flank begins to carry load
     low, high = np.full(len(b), -0.05), np.full(len(b), 0.05)
-    # Past the gap, so that at least one pair carries and the slope is not zero.
+    # Start past the gap: at least one pair carries load there, so the slope is not zero.
     beta = np.where(torque > 0, gap[0], np.where(torque < 0, -gap[1], middle)) + torque / 4e4
     todo = np.flatnonzero(~free)
     for _ in range(60):

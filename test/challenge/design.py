@@ -1,4 +1,4 @@
-"""Drives that records are made of: the paper's, and others by similarity to it."""
+"""Drives of the records: the paper's, and others similar to it."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from scipy.optimize import brentq
 
 Array = NDArray[np.float64]
 
-CUP_SPREAD = 5e-6  # [rad/(N m)], of a size 25
+CUP_SPREAD = 5e-6  # [rad/(N m)], for a size 25
 
 
 @dataclass(frozen=True)
 class Design:
-    """A drive as its maker means it.
+    """A drive as its maker intends it.
 
     Attributes
     ----------
-    name : what files are called after
+    name : used in file names
     shape : flanks, neutral curve and teeth; its compliance is that of a tooth pair [m/N]
     rated : torque [N m]
-    cup : torsion of the cup beyond the teeth's [rad/(N m)]
+    cup : torsion of the cup in addition to the teeth's [rad/(N m)]
     """
 
     name: str = "25/100"
@@ -35,7 +35,7 @@ class Design:
 
     @property
     def teeth(self) -> int:
-        """Of the flexspline."""
+        """Teeth of the flexspline."""
         return self.shape.flexspline_teeth
 
     @property
@@ -50,31 +50,31 @@ class Design:
 
     @property
     def tooth_pitch(self) -> float:
-        """[rad]."""
+        """Angle between two teeth [rad]."""
         return 2 * np.pi / self.teeth
 
     @property
     def slot_pitch(self) -> float:
-        """[rad]."""
+        """Angle between two slots [rad]."""
         return 2 * np.pi / self.slots
 
     @functools.cached_property
     def ring_radius(self) -> float:
-        """Of the undeformed neutral circle [m]."""
+        """Radius of the undeformed neutral circle [m]."""
         return polyline.ring_radius(self.shape)
 
     @functools.cached_property
     def module(self) -> float:
-        """Size of a tooth over that of the paper's drive."""
+        """Size of a tooth relative to that of the paper's drive."""
         return self.ring_radius / polyline.ring_radius() * polyline.DEFAULT.flexspline_teeth / self.teeth
 
     @property
     def strength(self) -> float:
-        """Rated torque over that of a size 25."""
+        """Rated torque relative to that of a size 25."""
         return self.rated / 87.0
 
     def scale(self, unit: str) -> float:
-        """How much larger something in a unit is here than in a size 25."""
+        """Factor from a quantity of a size 25 to that of this drive, by unit."""
         return {
             "um": self.module,
             "N m": self.strength,
@@ -89,12 +89,12 @@ SIZE_25 = Design()
 def similar(
     size: float, ratio: int, rated: float, datum: float = 0.0, compliance: float = 1e-6, cup: float = 0.0
 ) -> Design:
-    """Drive of another size [0.1 inch] and ratio: the pitch circle goes with the size, teeth with the module.
+    """Drive of another size [0.1 inch] and ratio: pitch circle scaled by the size, teeth by the module.
 
     Parameters
     ----------
-    size, ratio, rated : as printed on its page; [N m]
-    datum : by which the slots lie further out than similarity has them [m]
+    size, ratio, rated : as printed on the catalogue page; rated torque [N m]
+    datum : distance that the slots lie further out than by similarity [m]
     compliance, cup : [m/N], [rad/(N m)]
     """
     paper, teeth = polyline.DEFAULT, 2 * ratio
@@ -124,9 +124,9 @@ def similar(
     return Design(f"{size}/{ratio}", shape, rated, cup)
 
 
-# The datum leaves the paper's least backlash times the module; the compliances give the stiffness of the
-# catalogue page (HFUC units: K1, K2, K3 of 14/50: 3.4, 4.7, 5.7; 20/160: 16, 25, 29; 32/120: 67, 110, 120
-# kN m/rad) within 6 %.
+# The datum leaves the paper's least backlash times the module. The compliances reproduce the stiffness of
+# the catalogue page within 6 % (HFUC units: K1, K2, K3 of 14/50: 3.4, 4.7, 5.7; 20/160: 16, 25, 29; 32/120:
+# 67, 110, 120 kN m/rad).
 OTHERS = (
     similar(14, 50, 5.4, 29.2e-6, 0.594e-6, 81.1e-6),
     similar(20, 160, 40.0, -5.27e-6, 2.42e-6, 0.15e-6),

@@ -16,7 +16,7 @@ COMPLIANCE = 4 * ARCSEC  # [rad/(N m)], mean of teeth and cup
 
 @dataclass(frozen=True)
 class CouplingMisalignment(Cause, name="coupling_misalignment"):
-    """Universal joint between motor and wave generator, bent [rad], with play on reversal [rad]."""
+    """Universal joint between motor and wave generator: bend [rad] and play on reversal [rad]."""
 
     bend: float
     direction: float
@@ -29,10 +29,10 @@ class CouplingMisalignment(Cause, name="coupling_misalignment"):
 
 @dataclass(frozen=True)
 class BearingPassage(Cause, name="bearing_passage"):
-    """One thick ball (``part`` "cage"), or a dent in a race ("outer", "inner"), of a bearing that slips.
+    """Thick ball (``part`` "cage") or dent in a race ("outer", "inner") of a bearing that slips.
 
-    ``amplitude`` [rad] at the output; the cage turns ``cage`` times a turn of the wave generator, and creeps
-    by a random walk of ``slip`` [rad] over the record.
+    ``amplitude`` [rad] at the output. Per turn of the wave generator the cage makes ``cage`` turns; it also
+    creeps by a random walk of ``slip`` [rad] over the record.
     """
 
     amplitude: float
@@ -48,7 +48,7 @@ class BearingPassage(Cause, name="bearing_passage"):
         knots = np.linspace(0, max(way[-1], 1e-9), 40)
         steps = np.random.default_rng(self.seed).standard_normal(40)
         creep = np.interp(way, knots, self.slip / np.sqrt(40) * np.cumsum(steps))
-        # Passages per turn of the wave generator, and per turn of the cage's creep.
+        # Passages per turn of the wave generator, and per turn of cage creep.
         order, times = {
             "cage": (self.cage, 1),
             "outer": (self.balls * self.cage, self.balls),
@@ -72,10 +72,10 @@ class TorsionalHardening(Cause, name="torsional_hardening", sizes=("first", "sec
 
 @dataclass(frozen=True)
 class Hysteresis(Cause, name="hysteresis"):
-    """Slip elements beside a spring: half the width of the loop [rad], the torques [N m] that spend them.
+    """Slip elements parallel to a spring: half width of the loop [rad], torques [N m] at which they slip.
 
-    ``sense`` = 1: the elements hold the torsion back, as friction must; −1: the torque sensor lags by them,
-    so that the torsion seems to run ahead. The spring alone belongs to the drive, the difference is added.
+    ``sense`` = 1: the elements oppose the torsion, as friction does. −1: the torque sensor lags, so that the
+    torsion seems to lead. The spring alone belongs to the drive; the difference from it is added.
     """
 
     half_width: float
@@ -94,9 +94,9 @@ class Hysteresis(Cause, name="hysteresis"):
 
 @dataclass(frozen=True)
 class CoulombWindup(Cause, name="coulomb_windup"):
-    """A seal's dry friction winds up the output [rad], more so when slow (Stribeck share, speed [rad/s]).
+    """Dry friction of a seal winds up the output [rad], more at low speed (Stribeck share, speed [rad/s]).
 
-    It acts as the torque that does so at the drive's mean compliance.
+    It acts as the torque that causes this windup at the drive's mean compliance.
     """
 
     amplitude: float
@@ -111,7 +111,7 @@ class CoulombWindup(Cause, name="coulomb_windup"):
 
 @dataclass(frozen=True)
 class ViscousWindup(Cause, name="viscous_windup"):
-    """Grease winds up the output, in proportion to the input's speed [rad per rad/s]."""
+    """Grease winds up the output in proportion to the input's speed [rad per rad/s]."""
 
     slope: float
 
@@ -121,7 +121,7 @@ class ViscousWindup(Cause, name="viscous_windup"):
 
 @dataclass(frozen=True)
 class ThermalDrift(Cause, name="thermal_drift"):
-    """The output turns with the housing's temperature [rad/K] above 25 °C."""
+    """The output turns with the housing's temperature above 25 °C [rad/K]."""
 
     slope: float
 
@@ -131,7 +131,7 @@ class ThermalDrift(Cause, name="thermal_drift"):
 
 @dataclass(frozen=True)
 class Resonance(Cause, name="resonance", sizes=("amplitude",)):
-    """The link's inertia behind a spring, driven by the gear's ripple and one of its own [rad]."""
+    """Link inertia behind a spring, excited by the gear's ripple and by a wave of its own [rad]."""
 
     frequency: float
     damping: float
@@ -145,15 +145,15 @@ class Resonance(Cause, name="resonance", sizes=("amplitude",)):
         return mechanics.beyond_spring(driven, step, self.frequency, self.damping) - ripple
 
 
-# The same mechanisms by other laws than a catalogue of simple shapes has ---
+# The same mechanisms by other laws than the simple shapes of a catalogue ---
 
 
 @dataclass(frozen=True)
 class DryFriction(Cause, name="coulomb_windup"):
-    """Torque [N m] between mesh and torque sensor against the motion: elasto-plastic, Lorentzian when slow.
+    """Torque [N m] between mesh and torque sensor against the motion: elasto-plastic friction.
 
-    Hess and Soom, J. Tribology 112(1), 1990: the share ``stribeck`` more falls as 1/(1 + (v/v_s)²); speed
-    [rad/s] and presliding [rad] of the output.
+    Hess and Soom, J. Tribology 112(1), 1990: at low speed friction is larger by the share ``stribeck``, which
+    falls as 1/(1 + (v/v_s)²). Speed [rad/s] and presliding [rad] are those of the output.
     """
 
     torque: float
@@ -168,7 +168,7 @@ class DryFriction(Cause, name="coulomb_windup"):
 
 @dataclass(frozen=True)
 class Grease(Cause, name="viscous_windup"):
-    """Viscous torque [N m] at 1 rad/s of the output, thinned by shear: Carreau's law, power p when fast.
+    """Viscous torque [N m] at 1 rad/s of the output with shear thinning: Carreau's law, fast limit v^p.
 
     Carreau, Trans. Soc. Rheology 16(1), 1972: c v (1 + (v/v_0)²)^((p − 1)/2).
     """
@@ -186,9 +186,9 @@ class Grease(Cause, name="viscous_windup"):
 
 @dataclass(frozen=True)
 class SmoothHysteresis(Cause, name="hysteresis"):
-    """Friction beside the spring holds the torsion back: Bouc-Wen, or a dozen slip elements.
+    """Friction parallel to the spring opposes the torsion: Bouc-Wen, or a dozen slip elements.
 
-    Half the width of the loop [rad], the torque [N m] that spends it, Bouc-Wen's exponent (0: elements).
+    Half width of the loop [rad], torque [N m] over which it builds up, Bouc-Wen's exponent (0: elements).
     """
 
     half_width: float
@@ -205,7 +205,7 @@ class SmoothHysteresis(Cause, name="hysteresis"):
 
 @dataclass(frozen=True)
 class SmoothHardening(Cause, name="torsional_hardening"):
-    """Spring in series, compliance [rad/(N m)] at a torque [N m]: cubic (grows) or tanh (is spent)."""
+    """Spring in series with torsion c T_0 (T/T_0)³ (cubic) or c T_0 tanh(T/T_0); c [rad/(N m)], T_0 [N m]."""
 
     compliance: float
     torque: float
@@ -218,7 +218,7 @@ class SmoothHardening(Cause, name="torsional_hardening"):
 
 @dataclass(frozen=True)
 class LaggingDrift(Cause, name="thermal_drift"):
-    """The output turns [rad/K] with a place that follows the housing's temperature with a lag [s]."""
+    """The output turns [rad/K] with a place whose temperature follows the housing's with a lag [s]."""
 
     slope: float
     lag: float

@@ -1,7 +1,7 @@
-"""Families of records, each a row of a table: motion x causes x sensors x drive, drawn from a seed.
+"""Families of records: each row of a table combines motion, causes, sensors and drive, drawn from a seed.
 
-Seeds of DEVELOPMENT may be looked at while the method is made; those of FINAL are for the last count only.
-A family draws amplitudes from the range of the field, and never below three times the least findable size.
+Records of DEVELOPMENT seeds may be inspected while the method is developed; FINAL seeds are for the last
+count only. Amplitudes come from the range of the field and exceed three times the least findable size.
 """
 
 from __future__ import annotations
@@ -29,19 +29,20 @@ from challenge.truth import Base, drawn, faultless
 
 DEVELOPMENT = range(0, 1_000_000)
 SPENT = range(1_000_000_000, 1_000_010_033)
-"""Final seeds of counts that are over: some of their records were looked at and are in tests, so that they
-serve for development now."""
+"""Final seeds of finished counts. Some of their records were inspected and are in tests, so they now serve
+for development.
+"""
 FINAL = range(SPENT.stop, 1_001_000_000)
 
 Names = Callable[[Draw, int], list[str]]
 SAME_CLASS = (
     {"output_runout", "output_encoder_eccentricity"},
-    {"input_encoder_eccentricity", "coupling_misalignment"},  # twice a turn: the encoder's second harmonic
+    {"input_encoder_eccentricity", "coupling_misalignment"},  # both act at order 2
 )
 
 
 def generator(family: str, seed: int) -> np.random.Generator:
-    """Generator of random numbers of a family and seed; the same on every machine."""
+    """Random generator of a family and seed, the same on every machine."""
     if not any(seed in seeds for seeds in (DEVELOPMENT, SPENT, FINAL)):
         raise ValueError(f"seed {seed} is neither a development seed nor a final one")
     return np.random.default_rng([*family.encode(), seed])
@@ -51,17 +52,17 @@ def generator(family: str, seed: int) -> np.random.Generator:
 
 
 def none(_rng: Draw, _seed: int) -> list[str]:
-    """Nothing."""
+    """No cause."""
     return []
 
 
 def by_turns(names: Sequence[str]) -> Names:
-    """One cause, by turns."""
+    """One cause per record; the seed cycles through the names."""
     return lambda _rng, seed: [names[seed % len(names)]]
 
 
 def several(count: int, names: Sequence[str]) -> Names:
-    """Causes that can be told apart."""
+    """A number of different causes, at most one from each group of SAME_CLASS."""
 
     def chosen(rng: Draw, _seed: int) -> list[str]:
         found: list[str] = []
@@ -76,7 +77,7 @@ def several(count: int, names: Sequence[str]) -> Names:
 
 
 def sometimes(names: Sequence[str]) -> Names:
-    """With an odd seed one cause of some."""
+    """One cause of the given names if the seed is odd, otherwise none."""
     return lambda rng, seed: [str(rng.choice(list(names)))] if seed % 2 else []
 
 
@@ -89,12 +90,12 @@ def plain(_rng: Draw, _seed: int) -> Recording:
 
 
 def noises_by_turns(_rng: Draw, seed: int) -> Recording:
-    """Noise families by turns."""
+    """Noise of one family; the seed cycles through the families."""
     return Recording(noise=list(NOISES)[seed % len(NOISES)])
 
 
 def of_a_robot(rng: Draw, _seed: int) -> Recording:
-    """Encoders that count, quieter than a bench's; one recording, or several with offsets of their own."""
+    """Quantised encoders, quieter than on a bench; one recording, or three with different offsets."""
     return Recording(
         noise=str(rng.choice(list(NOISES))),
         noise_scale=rng.uniform(0.2, 0.8),
@@ -108,7 +109,7 @@ def of_a_robot(rng: Draw, _seed: int) -> Recording:
 
 
 def of_a_motor(rng: Draw, seed: int) -> Recording:
-    """The same with amperes for torque."""
+    """Recording of a robot that reports motor current [A] instead of torque."""
     return dataclasses.replace(of_a_robot(rng, seed), torque_constant=rng.uniform(4, 15))
 
 
@@ -126,7 +127,7 @@ def of_any_arm(rng: Draw, _seed: int) -> Recording:
 
 
 def of_any_quality(rng: Draw, seed: int) -> Recording:
-    """The same, with torque noise of up to 1 N m."""
+    """Recording of a robot in one part, with torque noise of up to 1 N m."""
     return dataclasses.replace(of_a_robot(rng, seed), torque_noise=rng.uniform(0, 1), parts=1)
 
 
@@ -144,12 +145,12 @@ _STANDARD = on_a_bench(motions.standard)
 
 
 def moves(rng: Draw, design: Design) -> Motion:
-    """Two minutes of a robot."""
+    """Two minutes of a robot's motion, point to point."""
     return point_to_point(rng, design=design)
 
 
 def journeys(rng: Draw, page: Page) -> Motion:
-    """What an arm does while someone records: point to point, one way, there and back; 1 s to two minutes."""
+    """Motion of an arm: point to point, one way, or there and back; about 2 s to two minutes."""
     kind = rng.integers(4)
     if kind == 0:
         return there(rng, page)
@@ -173,11 +174,11 @@ def _of_any_length(rng: Draw, _design: Design) -> Motion:
 
 @dataclass(frozen=True)
 class Family:
-    """A row: what a record is drawn from.
+    """A row: the distributions that a record is drawn from.
 
-    ``excused``: causes that the motion was said not to show need no name; ``findable``: causes are
-    enlarged to three times what can be found in the record itself, or replaced; ``usual``: what every such
-    joint has, and needs no name.
+    ``excused``: causes that the diagnosis says the motion cannot show need no name. ``findable``: causes are
+    enlarged to three times the size that the record itself can show, or replaced. ``usual``: effects that
+    every such joint has and that need no name.
     """
 
     names: Names = none
@@ -192,7 +193,7 @@ class Family:
 
 
 def _poor(motion: Callable[[Draw], Motion], names: Sequence[str], recording: Recording = PLAIN) -> Family:
-    """A motion or recording that cannot show some causes."""
+    """A motion or recording that cannot show some causes; records of odd seeds have one of them."""
     return Family(sometimes(names), on_a_bench(motion), lambda _rng, _seed: recording, excused=True)
 
 
@@ -204,7 +205,7 @@ POOR = {
     "one_speed": _poor(motions.one_speed, ("viscous_windup", "stream_delay", "resonance")),
     "unloaded": _poor(motions.unloaded, ("torsional_hardening", "hysteresis", "torque_offset")),
     "constant_torque": _poor(motions.constant_torque, ("torsional_hardening", "hysteresis")),
-    "torque_unmeasured": _poor(  # it acts, but is not reported
+    "torque_unmeasured": _poor(  # torque acts but is not reported
         motions.standard, ("torsional_hardening", "hysteresis", "torque_offset"), Recording(torque=False)
     ),
 }
@@ -212,7 +213,7 @@ _ROUGH = Recording(dropouts=0.05, outliers=0.01, jitter=0.3e-3)
 _BENCH = functools.partial(Family, faults=faults.MECHANISMS, findable=True)
 _ROBOT = functools.partial(_BENCH, motion=moves, recording=of_a_robot)
 
-_OF_TORQUE_SENSOR = ("torque_offset", "torque_sensor_ripple")  # a current passes none
+_OF_TORQUE_SENSOR = ("torque_offset", "torque_sensor_ripple")  # a motor current contains neither
 _BY_CURRENT = {name: fault for name, fault in faults.MECHANISMS.items() if name not in _OF_TORQUE_SENSOR}
 
 _PAGE = functools.partial(
@@ -249,7 +250,7 @@ FAMILIES: dict[str, Family] = {
 
 
 def made(family: str, seed: int) -> Record:
-    """The record of a family and seed."""
+    """Record of a family and seed."""
     row, rng = FAMILIES[family], generator(family, seed)
     design = row.designs[seed % len(row.designs)]
     names = [*row.names(rng, seed), *row.usual]
@@ -275,7 +276,7 @@ def _enlarged(
     motion: Motion,
     recording: Recording,
 ) -> list[tuple[Cause, float]]:
-    """Causes three times as large as this record can show; what the field has not so large is replaced."""
+    """Causes enlarged to three times what this record can show, replaced if the field has none so large."""
     untried = [name for name in rng.permutation(list(kinds)) if name not in {c.name for c, _ in found}]
     columns = findability.columns(base, motion, recording) if found else None
     while untried:

@@ -1,4 +1,4 @@
-"""Faults by name: how each is drawn, from an amplitude in the range of the field."""
+"""Faults by name, and how each is drawn from its amplitude range in the field."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ TIMES_LEAST = 3.0
 
 @dataclass(frozen=True)
 class Fault:
-    """How a cause is drawn: from an amplitude, its range in the field, and the least that can be found."""
+    """How a cause is drawn: builder, amplitude range in the field with unit, and least findable amplitude."""
 
     build: Build
     low: float
     high: float
     unit: str
-    least: float = 0.0  # by bench/findable.py, on a standard record
+    least: float = 0.0  # from bench/findable.py, on a standard record
 
 
 def _phase(rng: Draw) -> float:
@@ -106,11 +106,11 @@ def _unknown(name: str) -> Build:
 
 def _sector(rng: Draw, a: float, motion: Motion) -> Cause:
     time = motion.times()
-    place = motion.angle(rng.choice(time, 1))[0] / motion.design.ratio  # where the output has been
+    place = motion.angle(rng.choice(time, 1))[0] / motion.design.ratio  # a place that the output reaches
     return Unknown("encoder_sector", a * ARCSEC, float(place))
 
 
-# Resonance, which the gear's own ripple excites, ramps and steps have no least size: the range is enough.
+# Ramps, steps and resonances (excited by the gear's ripple) have no least size: their range is enough.
 FAULTS: dict[str, Fault] = {
     "output_runout": Fault(lambda r, a, m: sensor.OutputRunout(a * ARCSEC, _phase(r)), 2, 40, "arcsec", 0.98),
     "output_encoder_eccentricity": Fault(
@@ -165,13 +165,13 @@ UNKNOWN: dict[str, Fault] = {
     "loose_hub": Fault(_unknown("loose_hub"), 3, 15, "arcsec", 0.82),
 }
 
-# Worth no line of its own: a parameter of the drive does the same.
+# wear_backlash is left out: a parameter of the drive has the same effect.
 NAMED = tuple(name for name in FAULTS if name != "wear_backlash")
-# Found before anything is fitted: ramp and step.
+# Ramp (ratio_error) and step (tooth_skip) are found before any fit.
 COMBINED = tuple(name for name in NAMED if name not in ("ratio_error", "tooth_skip"))
 
 
-# The same by other laws: mechanisms ---
+# The same mechanisms by other laws ---
 
 
 def _friction(rng: Draw, a: float, _: Motion) -> Cause:
@@ -258,18 +258,18 @@ MECHANISMS: dict[str, Fault] = {
     "output_encoder_interpolation": Fault(_output_lines, 1, 8, "arcsec"),
     "torque_sensor_ripple": Fault(_ripple, 1, 5, "%"),
 }
-# Parameters of the drive do the same: they need no name, but may have one.
+# Parameters of the drive have the same effect: these may be named but need not be.
 OPTIONAL: dict[str, Fault] = {
     "wear_backlash": FAULTS["wear_backlash"],
     "torque_gain": Fault(lambda r, a, m: sensor.TorqueGain((1 + a / 100) ** _sign(r)), 5, 20, "%"),
 }
-# The torsion's shape is told, and is no cause.
+# The torsion's shape is reported, but not as a cause.
 NEED_NO_NAME = (*OPTIONAL, "torsional_hardening", "motor_current")
 UNNAMED: dict[str, Fault] = {"output_lines": Fault(_lines, 1, 6, "arcsec")}
 
 
 def motor_current(rng: Draw, constant: float, design: Design) -> Cause:
-    """Amperes that stand for torque, their constant [N m/A] known to 20 %."""
+    """Current reported as torque; its constant [N m/A] is known to 20 %."""
     return sensor.MotorCurrent(
         constant=constant * rng.uniform(0.8, 1.25),
         friction=design.rated * rng.uniform(0.03, 0.1),
@@ -280,21 +280,21 @@ def motor_current(rng: Draw, constant: float, design: Design) -> Cause:
 
 
 def draw(rng: Draw, name: str, motion: Motion) -> Cause:
-    """Cause of a name, at least three times as large as can be found on a standard record."""
+    """Cause of a name, at least three times as large as the least findable on a standard record."""
     return sized(rng, FAULTS.get(name) or UNKNOWN[name], motion)[0]
 
 
 def sized(rng: Draw, fault: Fault, motion: Motion) -> tuple[Cause, float]:
-    """The same of a kind, and by what factor the field may have it larger."""
+    """Cause of a kind, and the factor by which it can grow within the range of the field."""
     scale = motion.design.scale(fault.unit)
     low = scale * max(fault.low, TIMES_LEAST * fault.least)
     high = max(low * 1.0001, scale * fault.high)
-    # Evenly in the logarithm: sizes of the field are small more often than large.
+    # Log-uniform: small faults are more frequent in the field than large ones.
     amplitude = float(np.exp(rng.uniform(np.log(low), np.log(high))))
     return fault.build(rng, amplitude, motion), high / amplitude
 
 
-# Of a joint that is its page and has no teeth ---
+# Joints from a catalogue page, without teeth ---
 
 
 def _wave(kind: type[page.Wave]) -> Build:
@@ -326,7 +326,7 @@ PAGE_USUAL: dict[str, Fault] = {
         lambda r, a, m: page.SlowDrift(a * ARCSEC, int(r.integers(1 << 31))), 0.2, 2, "arcsec"
     ),
 }
-# Two to ten times what a new gear has.
+# Two to ten times the size in a new gear.
 PAGE: dict[str, Fault] = {
     "hysteresis": Fault(_page_loop, 20, 40, "arcsec"),
     "input_wave": Fault(_wave(page.LargeWave), 15, 30, "arcsec"),

@@ -1,4 +1,4 @@
-"""What of a cause a record can show: its part that no parameter of the drive, and no other cause, does."""
+"""Part of a cause that a record can show: no parameter of the drive and no other cause reproduces it."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from challenge.truth import ARCSEC, Base
 
 SNR = 7.6  # sqrt of 58: chi-square with 2 degrees of freedom at 1e-6 is 28; 99 % power doubles it
 WORTH_NAMING = 0.25 * ARCSEC  # [rad] rms
-TORQUE_AS_ANGLE = 5 * ARCSEC  # [rad/(N m)], of torque noise
+TORQUE_AS_ANGLE = 5 * ARCSEC  # [rad/(N m)], converts torque noise
 _ROWS = 3000
 _STEPS = {"e": 0.3e-6, "psi": 0.02, "runout": 0.3e-6, "runout_psi": 0.05, "datum": 0.3e-6}
 
 
 def jacobian(base: Base, motion: Motion, time: Array) -> Array:
-    """Columns (n, k): what each parameter of the drive, a little off, adds to the error [rad]."""
+    """Columns (n, k) [rad]: change of the error by a small step of each parameter of the drive."""
     angle, torque = -motion.angle(time), -motion.torque(time)
     mesh = gear(base, ())
     here = mesh.torsion(angle, torque)
-    softer = copy.copy(mesh)  # the clearances are the same
+    softer = copy.copy(mesh)  # same clearances
     softer.base = dataclasses.replace(base, compliance=1.01 * base.compliance)
     moved = [dataclasses.replace(base, **{name: getattr(base, name) + step}) for name, step in _STEPS.items()]
     drives = [softer, *(gear(each, ()) for each in moved)]
@@ -36,13 +36,13 @@ def jacobian(base: Base, motion: Motion, time: Array) -> Array:
 
 
 def own(signal: Array, columns: Array) -> Array:
-    """What is left of a signal (n,) beside columns (n, k)."""
+    """Residual (n,) of a least-squares fit of columns (n, k) to a signal (n,)."""
     scale = np.linalg.norm(columns, axis=0)
     return signal - columns / scale @ np.linalg.lstsq(columns / scale, signal, rcond=None)[0]
 
 
 def least(recording: Recording, count: int, design: Design) -> float:
-    """Rms [rad] that is found in so many samples whatever its frequency: noise as of the slowest."""
+    """Least rms [rad] that ``count`` samples can show at any frequency; all noise counts as slow."""
     slow = noise.DRIFTING**2 * (1 + noise.POLE) / (1 - noise.POLE)
     power = recording.noise_scale**2 * (slow + noise.WHITE**2)
     power += (recording.torque_noise * TORQUE_AS_ANGLE / design.strength) ** 2
@@ -56,7 +56,7 @@ def _rows(time: Array) -> slice:
 
 
 def columns(base: Base, motion: Motion, recording: Recording) -> Array:
-    """Columns (n, k) of what the drive's parameters and the offset of each recording do."""
+    """Columns (n, k): effects of the drive's parameters and of each recording's offset."""
     time = motion.times(recording.rate)
     part = (np.arange(len(time)) * recording.parts // len(time))[_rows(time)]
     offsets = part[:, None] == np.arange(1, recording.parts)
@@ -66,7 +66,7 @@ def columns(base: Base, motion: Motion, recording: Recording) -> Array:
 def shares(
     base: Base, causes: Sequence[Cause], motion: Motion, recording: Recording, columns: Array
 ) -> list[float]:
-    """Rms of each cause's part that is no column's and no other cause's, over the least that can be found."""
+    """Own rms of each cause, beyond columns and other causes, divided by the least that can be found."""
     time = motion.times(recording.rate)
     signals = [contribution(base, causes, cause, motion, time)[_rows(time)] for cause in causes]
     found = []

@@ -1,4 +1,4 @@
-"""Mechanics beside the mesh: joints, slip elements, friction, springs, an oscillator, a warming housing."""
+"""Mechanics outside the mesh: joints, slip elements, friction, springs, an oscillator, a warming housing."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from challenge.design import Array
 
 
 def universal_joint(angle: Array, bend: float, direction: float) -> Array:
-    """Angle of the driven shaft [rad] of a universal joint whose shafts enclose an angle bend [rad]."""
+    """Driven shaft's angle [rad] of a universal joint; ``bend`` is the angle between the shafts [rad]."""
     a = angle - direction
     driven = np.arctan2(np.sin(a) * np.cos(bend), np.cos(a))
     return angle + np.angle(np.exp(1j * (driven - a)))
 
 
 def play(x: Array, width: float) -> Array:
-    """What follows x through a dead band of a width, as a pin in a wide slot; it begins in the middle."""
+    """Output of a dead band that follows x, as a pin in a wide slot; it begins in the middle."""
     half, at = width / 2, float(x[0])
     out = np.empty_like(x)
     for i, target in enumerate(x.tolist()):
@@ -29,10 +29,10 @@ def play(x: Array, width: float) -> Array:
 
 
 def slip_spring(torque: Array, stiffness: float, elements: tuple[tuple[float, float], ...]) -> Array:
-    """Deflection [rad] under a torque (n,) [N m] of a spring beside elements (stiffness, slip torque).
+    """Deflection [rad] under a torque (n,) [N m] of a spring parallel to elements (stiffness, slip torque).
 
-    Each (Jenkins) element is a spring behind a slider that gives way at its slip torque. The torque balance
-    of every sample is solved for the deflection; the sliders stay where it leaves them.
+    Each (Jenkins) element is a spring in series with a slider that gives way at its slip torque. The torque
+    balance of every sample is solved for the deflection, then the sliders move as far as they slip.
     """
     slider = [0.0] * len(elements)
     phi, out = 0.0, np.empty_like(torque)
@@ -58,7 +58,7 @@ def slip_spring(torque: Array, stiffness: float, elements: tuple[tuple[float, fl
 def rubbing(angle: Array, time: Array, presliding: float, relaxation: float) -> Array:
     """State (n,) in −1..1 of a bristle that motion bends and vibration relaxes: a Dahl model with creep.
 
-    Bent fully after a way of presliding [rad]; at rest it straightens within relaxation [s].
+    ``presliding`` is the travel that bends it [rad]; ``relaxation`` the time constant at rest [s].
     """
     way, dt = np.diff(angle, prepend=angle[0]), np.diff(time, prepend=time[0])
     rate = np.abs(way) / presliding + np.abs(dt) / relaxation
@@ -72,7 +72,10 @@ def rubbing(angle: Array, time: Array, presliding: float, relaxation: float) -> 
 
 
 def spring(torque: Array, knees: tuple[float, ...], compliances: tuple[float, ...]) -> Array:
-    """Deflection [rad] of a symmetric spring whose compliance [rad/(N m)] steps at knees [N m]; 0 below."""
+    """Deflection [rad] of a symmetric spring, rigid below its first knee.
+
+    ``compliances`` [rad/(N m)] add up: each applies above its knee [N m].
+    """
     load = np.linspace(0, max(1.0, float(np.abs(torque).max())), 20_001)
     step = np.searchsorted(knees, load, side="right")
     compliance = np.r_[0, np.cumsum(compliances)][step]
@@ -83,7 +86,7 @@ def spring(torque: Array, knees: tuple[float, ...], compliances: tuple[float, ..
 def beyond_spring(error: Array, step: float, frequency: float, damping: float) -> Array:
     """Motion (n,) of an inertia behind a spring and damper whose other end moves by error (n,).
 
-    x'' + 2 z w (x' − y') + w² (x − y) = 0, integrated exactly for an error that is straight between samples.
+    x'' + 2 z w (x' − y') + w² (x − y) = 0, solved exactly for an error that is linear between samples.
     """
     w = 2 * np.pi * frequency
     numerator, denominator, _ = cont2discrete(
@@ -93,15 +96,15 @@ def beyond_spring(error: Array, step: float, frequency: float, damping: float) -
 
 
 def warming(time: Array, ambient: float, rise: float, constant: float) -> Array:
-    """Temperature [°C] of a first-order body that starts at ambient and is heated evenly."""
+    """Temperature [°C] of a first-order body that starts at ambient and is heated with constant power."""
     return ambient + rise * -np.expm1(-time / constant)
 
 
 def elasto_plastic(angle: Array, presliding: float, stick: float) -> Array:
     """State (n,) in −1..1 of a bristle that bends elastically before it slips, and stays bent at rest.
 
-    Dupont, Hayward, Armstrong, Altpeter, IEEE Trans. Automatic Control 47(5), 2002, eq. 5-9: up to ``stick``
-    of its last state it does not slip at all. Bent by a way of presliding [rad].
+    Dupont, Hayward, Armstrong, Altpeter, IEEE Trans. Automatic Control 47(5), 2002, eq. 5-9. The bristle does
+    not slip while |state| is at most ``stick``. ``presliding`` is the travel that bends it [rad].
     """
     z, out = 0.0, np.empty_like(angle)
     for n, way in enumerate((np.diff(angle, prepend=angle[0]) / presliding).tolist()):
@@ -122,8 +125,9 @@ def _slipping(z: float, way: float, stick: float) -> float:
 
 
 def bouc_wen(torque: Array, reach: float, sharpness: float) -> Array:
-    """State (n,) in −1..1 of Bouc and Wen's smooth hysteresis: dz = dT/r (1 − |z|^n) as T goes on, dT/r back.
+    """State (n,) in −1..1 of Bouc and Wen's smooth hysteresis.
 
+    dz = dT/r (1 − |z|^n) while dT drives z away from zero, else dT/r; r: ``reach`` [N m], n: ``sharpness``.
     Wen, J. Eng. Mech. Div. ASCE 102(2), 1976, with beta = gamma = 1/2.
     """
     z, out = 0.0, np.empty_like(torque)
@@ -137,7 +141,7 @@ def bouc_wen(torque: Array, reach: float, sharpness: float) -> Array:
 
 
 def slipping_elements(torque: Array, reaches: Array, weights: Array) -> Array:
-    """Sum (n,) of weights times states −1..1 of many elements that slip after reaches [N m].
+    """Weighted sum (n,) of the states −1..1 of many elements; each slips after its reach [N m].
 
     Generalised Maxwell slip: Al-Bender, Lampaert, Swevers, IEEE Trans. Automatic Control 50(11), 2005.
     """
@@ -149,6 +153,6 @@ def slipping_elements(torque: Array, reaches: Array, weights: Array) -> Array:
 
 
 def lagging(values: Array, time: Array, constant: float) -> Array:
-    """First-order lag (n,) of values by a time constant [s], settled at the start."""
+    """Values (n,) through a first-order lag with a time constant [s], settled at the start."""
     keep = np.exp(-float(np.median(np.diff(time))) / constant)
     return lfilter([1 - keep], [1, -keep], values - values[0]) + values[0]

@@ -10,12 +10,12 @@ from challenge.cause import Cause, Scene
 from challenge.contact import Flaws
 from challenge.design import Array, Design
 
-PITCH_POINT = 0.6193e-3  # [m] above the neutral layer, t + hf of the paper's Table 1; with the module
+PITCH_POINT = 0.6193e-3  # [m] above the neutral layer, t + hf of the paper's Table 1; scales with module
 
 
 @dataclass(frozen=True)
 class CircularSplinePitch(Cause, name="circular_spline_pitch"):
-    """Slots displaced along the circumference [m], ``order`` waves around (cumulative pitch error)."""
+    """Slots displaced along the circumference [m] in ``order`` waves around it (cumulative pitch error)."""
 
     amplitude: float
     phase: float
@@ -28,7 +28,7 @@ class CircularSplinePitch(Cause, name="circular_spline_pitch"):
 
 @dataclass(frozen=True)
 class FlexsplinePitch(Cause, name="flexspline_pitch"):
-    """Teeth displaced along the circumference [m], ``order`` waves around, measured at the pitch circle."""
+    """Teeth displaced along the circumference [m] in ``order`` waves, measured at the pitch circle."""
 
     amplitude: float
     phase: float
@@ -43,10 +43,10 @@ class FlexsplinePitch(Cause, name="flexspline_pitch"):
 
 @dataclass(frozen=True)
 class CircularSplineForm(Cause, name="circular_spline_form"):
-    """Ring out of round, ``order`` lobes of a radial amplitude [m].
+    """Ring out of round, with ``order`` lobes of a radial amplitude [m].
 
-    ``bent`` = 1: squeezed in its seat, the circumference keeps its length and slots move along it, too;
-    0: cut out of round, slots move only outwards and inwards.
+    ``bent`` = 1: the ring is squeezed in its seat, its circumference keeps its length and slots move along
+    it, too. ``bent`` = 0: the ring is cut out of round; slots only move outwards and inwards.
     """
 
     amplitude: float
@@ -62,7 +62,7 @@ class CircularSplineForm(Cause, name="circular_spline_form"):
 
 @dataclass(frozen=True)
 class ToothDamage(Cause, name="tooth_damage"):
-    """One tooth (``member`` "flexspline") or slot ("circular_spline") worn by a depth [m] or softer."""
+    """One tooth (``member`` "flexspline") or slot ("circular_spline"), worn to a depth [m] or softer."""
 
     depth: float
     index: int
@@ -79,7 +79,7 @@ class ToothDamage(Cause, name="tooth_damage"):
 
 @dataclass(frozen=True)
 class WearBacklash(Cause, name="wear_backlash"):
-    """All flanks of the flexspline thinned by a thickness [m]."""
+    """All flanks of the flexspline worn by a thickness [m]."""
 
     thickness: float
 
@@ -89,7 +89,7 @@ class WearBacklash(Cause, name="wear_backlash"):
 
 @dataclass(frozen=True)
 class ToothSkip(Cause, name="tooth_skip", sizes=("sign",)):
-    """The flexspline jumps by a whole tooth at a moment [s], the way the load pulls (sign)."""
+    """The flexspline jumps by one tooth at a moment [s], in the direction of the load (sign)."""
 
     time: float
     sign: float
@@ -100,9 +100,9 @@ class ToothSkip(Cause, name="tooth_skip", sizes=("sign",)):
 
 @dataclass(frozen=True)
 class UnevenSlots(Cause, name="circular_spline_pitch"):
-    """Cumulative pitch error of the circular spline as a machine makes it: twice around, and all others.
+    """Cumulative pitch error of a machined circular spline: mainly twice around, with all harmonics up to 8.
 
-    ``amplitude`` [m] of the second harmonic; the others up to 8 are ``rest`` of it, falling as 1/k.
+    ``amplitude`` [m] of the second harmonic; harmonic k has 2/k of the fraction ``rest`` of it.
     """
 
     amplitude: float

@@ -1,4 +1,4 @@
-"""Motion and load of a record: runs between rests, as functions of time that can be sampled at any moment."""
+"""Motion and load of a record: runs between rests, as functions of continuous time."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from challenge.design import SIZE_25, Array, Design
 
-REST = 0.15  # [s] at rest where a run begins and ends
+REST = 0.15  # [s] at rest at the beginning and the end of a run
 RAMP = 0.6  # [s] from rest to full speed
 SPEEDS = (1.3, 3.1, 6.2, 9.7, 14.3, 19.1)  # [1/s], turns of the input
 BOTH_WAYS = (*SPEEDS, *(-v for v in SPEEDS))
@@ -19,7 +19,7 @@ RATE = 500.0  # [Hz]
 
 @dataclass(frozen=True)
 class Run:
-    """One run: speed [turns/s] with sign; torque [N m] = level + swing sin + nested sin, ramped."""
+    """One run: signed speed [turns/s]; torque [N m] = level + swing sin + nested sin, ramped."""
 
     speed: float
     level: float = 0.0
@@ -33,7 +33,7 @@ class Run:
         return np.clip(t - REST, 0, self.duration - 2 * REST)
 
     def envelope(self, t: Array) -> Array:
-        """Share 0..1 of full speed and load, raised-cosine ramps."""
+        """Share 0..1 of full speed and load, with raised-cosine ramps."""
         t = self._moving(t)
         end = self.duration - 2 * REST
         return np.sin(np.pi / 2 * np.clip(np.minimum(t, end - t) / self.ramp, 0, 1)) ** 2
@@ -61,7 +61,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Motion:
-    """Runs one after the other, the input angle carried on."""
+    """Runs one after the other; the input angle continues from run to run."""
 
     runs: tuple[Run, ...]
     start_angle: float = 0.0
@@ -69,7 +69,7 @@ class Motion:
 
     @property
     def starts(self) -> Array:
-        """Start of every run and the end of the last [s]."""
+        """Start of every run and end of the last one [s]."""
         return np.r_[0, np.cumsum([run.duration for run in self.runs])]
 
     def times(self, rate: float = RATE) -> Array:
@@ -77,7 +77,7 @@ class Motion:
         return np.arange(round(self.starts[-1] * rate)) / rate
 
     def run_of(self, t: Array) -> Array:
-        """Index of the run of each moment."""
+        """Index of the run at each moment."""
         return np.clip(np.searchsorted(self.starts, t, side="right") - 1, 0, len(self.runs) - 1)
 
     def _each(self, t: Array, what: str) -> Array:
@@ -103,7 +103,7 @@ class Motion:
 
 
 def _loads(rng: np.random.Generator, count: int) -> list[dict[str, float]]:
-    """Loads that cover the range: steady levels of both signs, slow swings, small ones, nested reversals."""
+    """Loads that cover the range: steady levels of both signs, large and small swings, nested reversals."""
     loads: list[dict[str, float]] = []
     for i in range(count):
         sign, period = 1.0 if i % 2 else -1.0, rng.uniform(2.2, 7.0)
@@ -124,34 +124,34 @@ def _assembled(rng: np.random.Generator, speeds: Sequence[float], duration: floa
 
 
 def standard(rng: np.random.Generator) -> Motion:
-    """Twelve runs of 10 s: six speeds, each both ways."""
+    """Twelve runs of 10 s: six speeds, each in both directions."""
     return _assembled(rng, rng.permutation(BOTH_WAYS).tolist())
 
 
 def short(rng: np.random.Generator) -> Motion:
-    """Two runs of 2 s, one each way, one load."""
+    """Two runs of 2 s under one load, one in each direction."""
     v = rng.uniform(0.8, 2.0)
     return Motion((Run(v, swing=50, period=1.6, duration=2.0), Run(-v, swing=50, period=1.6, duration=2.0)))
 
 
 def one_direction(rng: np.random.Generator) -> Motion:
-    """Twelve runs of six speeds, all the same way."""
+    """Twelve runs at six speeds, all in one direction."""
     sign = rng.choice([-1, 1])
     return _assembled(rng, [sign * v for v in rng.permutation([*SPEEDS, *SPEEDS]).tolist()])
 
 
 def one_speed(rng: np.random.Generator) -> Motion:
-    """Twelve runs both ways at one speed."""
+    """Twelve runs at one speed in both directions."""
     v = float(rng.choice(SPEEDS[1:4]))
     return _assembled(rng, rng.permutation([v, -v] * 6).tolist())
 
 
 def unloaded(rng: np.random.Generator) -> Motion:
-    """The standard speeds without torque."""
+    """Runs at the standard speeds without torque."""
     return Motion(tuple(Run(v) for v in rng.permutation(BOTH_WAYS).tolist()))
 
 
 def constant_torque(rng: np.random.Generator) -> Motion:
-    """The standard speeds at one torque (away from the ramps)."""
+    """Runs at the standard speeds under one torque (except for the ramps)."""
     level = rng.choice([-1, 1]) * rng.uniform(20, 60)
     return Motion(tuple(Run(v, level=level) for v in rng.permutation(BOTH_WAYS).tolist()))

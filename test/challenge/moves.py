@@ -12,19 +12,19 @@ from numpy.typing import NDArray
 from challenge.design import SIZE_25, Array, Design
 from challenge.motion import RATE
 
-FASTEST, SLOWEST, STEEPEST = 1.5, 0.05, 6.0  # [rad/s], [rad/s²] of the output
-LONGEST = 15.0  # [s], of a move
-HEAVIEST = 0.92  # of the rated torque
+FASTEST, SLOWEST, STEEPEST = 1.5, 0.05, 6.0  # [rad/s], [rad/s], [rad/s²] of the output
+LONGEST = 15.0  # [s], longest move
+HEAVIEST = 0.92  # share of the rated torque
 
 
 def _quintic(u: Array) -> tuple[Array, Array, Array]:
-    """Way 0..1 over time 0..1, its first and second derivative."""
+    """Travel 0..1 over time 0..1, with its first and second derivative."""
     way = u**3 * (10 + u * (6 * u - 15))
     return way, 30 * (u * (1 - u)) ** 2, 60 * u * (1 - u) * (1 - 2 * u)
 
 
 def _trapezoid(u: Array, ramp: float = 0.25) -> tuple[Array, Array, Array]:
-    """The same with even speed between ramps (a share of the time) whose corners are round."""
+    """Travel at constant speed between ramps (``ramp``: their share of the time) with rounded corners."""
     top, turn = 1 / (1 - ramp), np.pi / ramp
 
     def risen(x: Array) -> Array:
@@ -42,11 +42,11 @@ PROFILES = {"quintic": (_quintic, 1.875, 5.774), "trapezoid": (_trapezoid, 1 / 0
 
 @dataclass(frozen=True)
 class Arm:
-    """What the joint carries: gravity [N m], its share that goes with position, inertia [kg m²]."""
+    """Load of the joint: gravity [N m], its share that varies with position, inertia [kg m²]."""
 
     gravity: float
     share: float
-    upright: float  # [rad], where gravity acts in full
+    upright: float  # [rad], angle of full gravity torque
     inertia: float
     payload: float  # [N m], carried on every other move
 
@@ -74,11 +74,11 @@ class Moves:
         return np.arange(round(self.duration * rate)) / rate
 
     def run_of(self, t: Array) -> NDArray[np.intp]:
-        """Index of the move of each moment; a rest belongs to the move before."""
+        """Index of the move at each moment; a rest belongs to the move before it."""
         return np.clip(np.searchsorted(self.begin, t, side="right") - 1, 0, len(self.begin) - 1)
 
     def _course(self, t: Array) -> tuple[Array, Array, Array]:
-        """Output angle, speed, acceleration."""
+        """Output angle [rad], speed [rad/s] and acceleration [rad/s²]."""
         move = self.run_of(t)
         begin, length, poses = (np.array(v) for v in (self.begin, self.length, self.poses))
         way, length = np.diff(poses)[move], length[move]
@@ -95,7 +95,7 @@ class Moves:
         return self.design.ratio * self._course(t)[1]
 
     def torque(self, t: Array) -> Array:
-        """Torque that the drive exerts on the link [N m]; a payload is taken or left within the rest."""
+        """Torque that the drive exerts on the link [N m]; the payload changes during rests."""
         angle, _, acceleration = self._course(t)
         move = self.run_of(t)
         end = (np.array(self.begin) + np.array(self.length))[move]
@@ -116,7 +116,7 @@ def _arm(rng: np.random.Generator, middle: float, strength: float) -> Arm:
 
 
 def point_to_point(rng: np.random.Generator, duration: float = 120.0, design: Design = SIZE_25) -> Moves:
-    """Moves among five poses within 0.5 to 0.9 turns of the output, rests of 0.2 to 0.8 s."""
+    """Moves among five poses in a range of 0.5 to 0.9 output turns, with rests of 0.2 to 0.8 s."""
     reach = np.pi * rng.uniform(0.5, 0.9)
     middle = rng.uniform(-0.5, 0.5)
     places = middle + np.array([-reach, reach, *rng.uniform(-reach, reach, 3)])
@@ -125,7 +125,7 @@ def point_to_point(rng: np.random.Generator, duration: float = 120.0, design: De
     usual = np.exp(rng.uniform(np.log(0.15), np.log(FASTEST)))
     now, at, begin, length, poses = 0.3, 0, [], [], [places[0]]
     while now < duration:
-        # From one end to the other first: the range is driven, whatever comes later.
+        # Begin with a move from end to end, so that every record covers the range.
         at = 1 if not begin else int(rng.choice([i for i in range(5) if i != at]))
         way = abs(places[at] - poses[-1])
         speed = max(usual * rng.uniform(0.4, 1.0), SLOWEST)
@@ -142,7 +142,7 @@ def point_to_point(rng: np.random.Generator, duration: float = 120.0, design: De
 
 
 def _bearable(moves: Moves) -> Moves:
-    """The same motion of an arm that the drive can carry."""
+    """The same motion with an arm light enough for the drive."""
     most = float(np.abs(moves.torque(moves.times(50.0))).max())
     factor = min(1.0, HEAVIEST * moves.design.rated / most)
     a = moves.arm
@@ -151,12 +151,12 @@ def _bearable(moves: Moves) -> Moves:
 
 
 def there(rng: np.random.Generator, design: Design) -> Moves:
-    """One to six moves one way, a part of an output turn, in 1 s to a minute; as after an error of homing."""
+    """One to six moves in one direction over part of an output turn, 2 to 95 s, as after a homing error."""
     return _between(rng, design, [1.0] * int(rng.integers(1, 7)))
 
 
 def there_and_back(rng: np.random.Generator, design: Design) -> Moves:
-    """Two to eight moves over the same part of an output turn, there and back, each at a speed of its own."""
+    """Two to eight moves there and back over the same part of an output turn, each at its own speed."""
     return _between(rng, design, [1.0, -1.0] * int(rng.integers(1, 5)))
 
 

@@ -1,4 +1,4 @@
-"""Noise of the output angle, and what recording does to a record. Generators are passed in."""
+"""Noise of the output angle, and disturbances by the recording. Generators are passed in."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ TORQUE_NOISE = 0.15  # [N m]
 
 
 def _first_order(innovations: Array) -> Array:
-    """AR(1) of POLE with the rms of its unit-rms innovations."""
+    """AR(1) noise with coefficient POLE and the rms of its innovations."""
     scale = np.sqrt(1 - POLE**2)
     return lfilter([scale], [1, -POLE], innovations)
 
 
 def autoregressive(rng: np.random.Generator, n: int) -> Array:
-    """AR(1) and white, normal [rad]."""
+    """AR(1) plus white noise, normal [rad]."""
     slow = _first_order(rng.standard_normal(n + 500))[500:]  # settled
     return DRIFTING * slow + WHITE * rng.standard_normal(n)
 
 
 def pink(rng: np.random.Generator, n: int) -> Array:
-    """1/f in power above 0.05 Hz (at 500 Hz), of the same rms, and white [rad]."""
+    """Noise with power 1/f above 0.05 Hz (at 500 Hz) and the rms of the AR(1), plus white noise [rad]."""
     frequency = np.fft.rfftfreq(n)
     spectrum = np.fft.rfft(rng.standard_normal(n)) / np.sqrt(np.maximum(frequency, 1e-4))
     spectrum[0] = 0
@@ -36,7 +36,7 @@ def pink(rng: np.random.Generator, n: int) -> Array:
 
 
 def heavy(rng: np.random.Generator, n: int) -> Array:
-    """AR(1) and white, the white part Student t with three degrees of freedom."""
+    """AR(1) plus white noise, the latter with Student t of three degrees of freedom [rad]."""
     white = rng.standard_t(3, n) / np.sqrt(3)
     return DRIFTING * _first_order(rng.standard_normal(n + 500))[500:] + WHITE * white
 
@@ -49,7 +49,7 @@ FAMILIES: dict[str, Callable[[np.random.Generator, int], Array]] = {
 
 
 def kept(rng: np.random.Generator, n: int, share: float, burst: float = 20.0) -> Array:
-    """Mask (n,) of what is left after dropouts: bursts of a mean length [samples] that take a share."""
+    """Mask (n,) of the samples that survive dropouts; bursts of mean length [samples] lose about a share."""
     lost = np.zeros(n, dtype=bool)
     for start in rng.integers(0, n, size=round(share * n / burst)):
         lost[start : start + rng.geometric(1 / burst)] = True
@@ -57,18 +57,18 @@ def kept(rng: np.random.Generator, n: int, share: float, burst: float = 20.0) ->
 
 
 def outliers(rng: np.random.Generator, n: int, share: float) -> Array:
-    """Errors (n,) [rad]: a share of the samples is off by 50 to 2000 arcsec, either way."""
+    """Errors (n,) [rad]: a share of the samples is off by 50 to 2000 arcsec with either sign."""
     struck = rng.random(n) < share
     return struck * rng.choice([-1, 1], n) * np.exp(rng.uniform(np.log(50), np.log(2000), n)) * ARCSEC
 
 
 def jittered(rng: np.random.Generator, time: Array, spread: float = 0.3e-3) -> Array:
-    """Moments [s] at which samples are really taken: unevenly, in order."""
+    """True sampling moments [s]: uneven but in order."""
     step = np.median(np.diff(time))
     return time + np.clip(spread * rng.standard_normal(len(time)), -0.4 * step, 0.4 * step)
 
 
 def counted(angle: Array, bits: int) -> Array:
-    """Angles [rad] in steps of an encoder of 2**bits counts a turn; 0 bits: as they are."""
+    """Angles [rad] rounded to an encoder's 2**bits counts per turn; unchanged for 0 bits."""
     step = 2 * np.pi / 2**bits
     return step * np.rint(angle / step) if bits else angle

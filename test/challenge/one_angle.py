@@ -1,4 +1,4 @@
-"""Joints that report one angle and a torque: gravity, inertia, friction, noise; ripple hidden in it."""
+"""Joints that report one angle and a torque of gravity, inertia, friction and noise; ripple hides in it."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from challenge.moves import point_to_point
 from challenge.noise import counted, jittered
 
 RATE = 500.0  # [Hz]
-COUNT = 0.01  # of a reported torque [N m]
+COUNT = 0.01  # resolution of a reported torque [N m]
 RING = 12.0  # frequency of the arm's own vibration [Hz]
 
 
 @dataclass(frozen=True)
 class Line:
-    """``size cos(order angle - phase)`` [N m] over the output; with the direction's sign if it reverses."""
+    """``size cos(order angle - phase)`` [N m] over the output; times the speed's sign if it reverses."""
 
     order: float
     size: float
@@ -29,7 +29,7 @@ class Line:
 
 @dataclass(frozen=True)
 class OneAngle:
-    """What such a joint reports, (n,) each: [s], output angle [rad], its speed [rad/s], torque [N m]."""
+    """Reported signals, (n,) each: time [s], output angle [rad], its speed [rad/s], torque [N m]."""
 
     time: Array
     angle: Array
@@ -38,7 +38,7 @@ class OneAngle:
 
 
 def friction(rng: np.random.Generator, speed: Array) -> Array:
-    """Coulomb, Stribeck and viscous, as a current shows it [N m]; steps are round within 1 mrad/s."""
+    """Coulomb, Stribeck and viscous friction in a motor current [N m], smooth within 1 mrad/s of zero."""
     coulomb, stuck, viscous = rng.uniform(1, 4), rng.uniform(0, 1.5), rng.uniform(1, 6)
     settling = rng.uniform(0.01, 0.05)  # [rad/s]
     dry = (coulomb + stuck * np.exp(-((speed / settling) ** 2))) * np.tanh(speed / 1e-3)
@@ -46,7 +46,7 @@ def friction(rng: np.random.Generator, speed: Array) -> Array:
 
 
 def noise(rng: np.random.Generator, n: int) -> Array:
-    """White, slow (a pole of 0.97), and the arm's vibration that noise keeps up [N m]."""
+    """White noise, slow noise (pole 0.97) and the arm's vibration excited by noise [N m]."""
     slow = lfilter([np.sqrt(1 - 0.97**2)], [1, -0.97], rng.standard_normal(n))
     turn, damping = 2 * np.pi * RING / RATE, 0.97
     ring = lfilter([1], [1, -2 * damping * np.cos(turn), damping**2], rng.standard_normal(n))
@@ -54,7 +54,7 @@ def noise(rng: np.random.Generator, n: int) -> Array:
 
 
 def record(seed: int, lines: Sequence[Line] = (), duration: float = 60.0, stream: int = 0) -> OneAngle:
-    """A record of a joint; streams of one seed are recordings of the same joint, moved otherwise."""
+    """A record of a joint; the streams of one seed are recordings of the same joint with other motion."""
     joint, rng = np.random.default_rng(seed), np.random.default_rng((seed, stream))
     moves = point_to_point(rng, duration)
     even = moves.times(RATE)

@@ -1,7 +1,7 @@
-"""Joints drawn from a catalogue page: no tooth anywhere, so nothing here is shaped like the mesh model.
+"""Joints drawn from a catalogue page: they have no teeth, so nothing here is shaped like the mesh model.
 
-Torsion is the page's own, straight from zero over T1 and T2 (K1, K2, K3). What else a real joint shows is
-added as a function of torque, place or time, by laws that the package does not have.
+The torsion is the page's, piecewise linear from zero over T1 and T2 (K1, K2, K3). Other effects of a real
+joint are added as functions of torque, place or time, by laws that the package does not contain.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ class Page:
 
     @property
     def strength(self) -> float:
-        """Rated torque over that of a size 25, ratio 100."""
+        """Rated torque divided by that of a size 25, ratio 100."""
         return self.rated / 87.0
 
     def scale(self, unit: str) -> float:
-        """How much larger a fault in a unit is here than in a size 25, ratio 100."""
+        """Factor from the size of a fault in a size 25, ratio 100 to its size here, by unit."""
         return {"N m": self.strength, "1/strength": 1 / self.strength}.get(unit, 1.0)
 
     def torsion(self, torque: Array) -> Array:
-        """Angle (n,) [rad] under a torque (n,) [N m]."""
+        """Torsion angle (n,) [rad] under a torque (n,) [N m]."""
         corners = np.array([0.0, self.t1, self.t2, 1e3 * self.t2])
         angles = np.r_[0.0, np.cumsum(np.diff(corners) / (self.k1, self.k2, self.k3))]
         return np.sign(torque) * np.interp(np.abs(torque), corners, angles)
@@ -64,33 +64,33 @@ PAGES = (
 
 @dataclass(frozen=True)
 class Spring:
-    """Torsion of a page, in the place of a mesh."""
+    """Torsion of a page, used in place of a mesh."""
 
     page: Page
 
     def torsion(self, _turn: Array, torque: Array) -> Array:
-        """Angle (n,) [rad] of the cup under a torque on it (n,) [N m], wherever the wave generator is."""
+        """Cup angle (n,) [rad] under cup torques (n,) [N m]; the wave generator's angle has no effect."""
         return self.page.torsion(torque)
 
 
 @dataclass(frozen=True)
 class PageJoint(Base):
-    """A joint that is its page and has no teeth."""
+    """A joint with the torsion of a catalogue page, without teeth."""
 
     design: Page = field(default=PAGES[0])  # type: ignore[assignment]
 
 
 def page_joint(rng: np.random.Generator, page: Page) -> PageJoint:
-    """A page's joint with an encoder offset by chance."""
+    """Joint of a page with a random encoder offset."""
     return PageJoint(offset=rng.uniform(-5e-4, 5e-4), design=page)
 
 
-# What every joint has, or too much of ---
+# Effects of every joint, usual or too large ---
 
 
 @dataclass(frozen=True)
 class Wave(Cause, name="usual_wave", sizes=("amplitude",)):
-    """A wave of an order of the input's turn [rad] that falls with the torque, by one of three laws."""
+    """Wave [rad] at an order of the input that falls with the torque, by one of three laws."""
 
     amplitude: float
     order: int
@@ -109,15 +109,15 @@ class Wave(Cause, name="usual_wave", sizes=("amplitude",)):
 
 
 class LargeWave(Wave, name="input_wave", known=False):
-    """The same, larger than any new gear has."""
+    """Wave larger than in any new gear."""
 
-    # What moves the slots, or the wave generator on its shaft, makes a wave that falls with load.
+    # Moved slots or a shifted wave generator also make a wave that falls with load.
     may_be = ("circular_spline_pitch", "circular_spline_form", "coupling_misalignment")
 
 
 @dataclass(frozen=True)
 class OutputWave(Cause, name="usual_output_wave", sizes=("amplitude",)):
-    """A wave of an order of the output's turn [rad], as of a flange that circles."""
+    """Wave [rad] at an order of the output, as of a flange that circles."""
 
     amplitude: float
     order: int
@@ -130,16 +130,16 @@ class OutputWave(Cause, name="usual_output_wave", sizes=("amplitude",)):
 
 
 class LargeOutputWave(OutputWave, name="output_runout"):
-    """The same, of a flange off its centre."""
+    """Output wave of a flange off its centre."""
 
     may_be = ()
 
 
 @dataclass(frozen=True)
 class Loop(Cause, name="usual_loop", sizes=("half_width",)):
-    """Hysteresis by Preisach: many relays that switch at an upper and back at a lower torque.
+    """Hysteresis by Preisach: many relays that switch on at an upper torque and off at a lower torque.
 
-    Half the width of the loop [rad], the torque [N m] over which it builds up. Preisach, Z. Physik 94, 1935.
+    Half width of the loop [rad], torque [N m] over which it builds up. Preisach, Z. Physik 94, 1935.
     """
 
     half_width: float
@@ -160,7 +160,7 @@ class Loop(Cause, name="usual_loop", sizes=("half_width",)):
             state[upper <= load] = 1.0
             state[lower >= load] = -1.0
             out[n] = state.mean()
-        # The part that goes with the torque belongs to the spring.
+        # The part in proportion to the torque belongs to the spring.
         anhysteretic = np.clip(torque / span, -1, 1)
         lag = anhysteretic * np.polyfit(anhysteretic, out, 1)[0] - out
         lag -= 0.5 * (lag.max() + lag.min())
@@ -168,7 +168,7 @@ class Loop(Cause, name="usual_loop", sizes=("half_width",)):
 
 
 class LargeLoop(Loop, name="hysteresis"):
-    """The same, wider than any new gear's."""
+    """Loop wider than in any new gear."""
 
     may_be = ()
 

@@ -1,4 +1,4 @@
-"""Records of a simulated drive: what really happens, what the sensors report, and the files that hold it."""
+"""Records of a simulated drive: true motion, reported signals, and files of them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from challenge.page import PageJoint, Spring
 from challenge.truth import Base
 
 JOINT = "joint_1"
-EPOCH = 1_760_000_000  # [s], of the first stamp in a bag
+EPOCH = 1_760_000_000  # [s], first stamp in a bag
 AMBIENT, RISE, HEATING = 25.0, 9.0, 70.0  # [°C], [K], [s]
 
 
@@ -37,13 +37,13 @@ class Record:
     time : stamps from 0 [s]
     input_angle, output_angle : as reported [rad]
     torque : as reported [N m], or None where nothing measures it
-    temperature : as reported [°C], straight between readings of 1 Hz, or None
+    temperature : as reported [°C], interpolated linearly between readings at 1 Hz, or None
     runs : index of the first sample of every run
     part : index of the recording that each sample comes from
-    clean_output : output angle that goes with the reported input, without noise and outliers [rad]
-    truth : base, effects (sizes), hidden (catalogue names), optional (names that are true, but that need not
-        be found), unknown, noise_rms [rad], recording
-    base, causes, motion : what it was made from
+    clean_output : output angle that belongs to the reported input, without noise and outliers [rad]
+    truth : base, effects (sizes), hidden (catalogue names to be found), optional (true names that need not be
+        found), unknown, noise_rms [rad], recording
+    base, causes, motion : what the record was made from
     """
 
     time: Array
@@ -62,15 +62,15 @@ class Record:
 
 @dataclass(frozen=True)
 class Recording:
-    """How a record is taken: noise family and its size, shares lost and wild, uneven sampling, sensors.
+    """How a record is taken: noise family and scale, shares of dropouts and outliers, jitter, sensors.
 
-    Encoders count in steps of a turn over 2 to the power of their bits; 0: they do not count. A record of
-    several ``parts`` has an encoder offset [rad] of each, by chance.
+    An encoder of b bits counts in steps of a turn over 2^b; 0 bits mean no quantisation. If a record has
+    several ``parts``, each has a random encoder offset [rad].
     """
 
     noise: str = "autoregressive"
     noise_scale: float = 1.0
-    torque_constant: float = 0.0  # [N m/A] as the user believes, where amperes stand for torque
+    torque_constant: float = 0.0  # [N m/A] as the user believes it, if current is reported as torque
     torque_noise: float = TORQUE_NOISE  # [N m]
     input_bits: int = 0
     output_bits: int = 0
@@ -91,7 +91,7 @@ PLAIN = Recording()
 
 
 def scene(motion: Motion, time: Array) -> Scene:
-    """What the drive does at moments [s], in order."""
+    """True motion at moments [s] in ascending order."""
     warm = mechanics.warming(time, AMBIENT, RISE, HEATING)
     return Scene(
         time,
@@ -105,13 +105,13 @@ def scene(motion: Motion, time: Array) -> Scene:
 
 
 def borne(causes: Sequence[Cause], seen: Scene) -> Scene:
-    """The same with the torque that the mesh bears: the link's and friction before the torque sensor."""
+    """Scene with the torque that the mesh bears: the link's plus friction ahead of the torque sensor."""
     torque = np.asarray(seen.torque + sum(cause.load(seen) for cause in causes), dtype=np.float64)
     return dataclasses.replace(seen, torque=torque)
 
 
 def gear(base: Base, causes: Sequence[Cause]) -> Gear | Spring:
-    """Clearances of a drive with the flaws of all causes; the spring of a joint that is a page."""
+    """Mesh with the flaws of all causes; for a joint from a catalogue page its spring."""
     if isinstance(base, PageJoint):
         return Spring(base.design)
     flaws = Flaws()
@@ -121,7 +121,7 @@ def gear(base: Base, causes: Sequence[Cause]) -> Gear | Spring:
 
 
 def mean_torsion(mesh: Gear | Spring, cup_torque: Array) -> Array:
-    """Torsion (n,) [rad] at cup torques (n,) [N m], the mean over a turn of the wave generator."""
+    """Torsion (n,) [rad] at cup torques (n,) [N m], averaged over a turn of the wave generator."""
     levels = np.r_[-np.geomspace(200, 0.01, 60), np.geomspace(0.01, 200, 60)]
     angles = np.linspace(0, 2 * np.pi, 101, endpoint=False)
     grid = np.meshgrid(angles, levels)
@@ -133,7 +133,7 @@ def mean_torsion(mesh: Gear | Spring, cup_torque: Array) -> Array:
 def _torsion(
     base: Base, flawed: tuple[Cause, ...], shaft: bytes, torque: bytes
 ) -> tuple[Gear | Spring, Array]:
-    """Mesh and its torsion (n,) [rad]; kept, for what a cause adds is the difference of two drives."""
+    """Mesh and its torsion (n,) [rad]; cached, because :func:`contribution` evaluates drives repeatedly."""
     mesh = gear(base, flawed)
     return mesh, mesh.torsion(-np.frombuffer(shaft), -np.frombuffer(torque))
 
@@ -168,7 +168,7 @@ def transmission_error(base: Base, causes: Sequence[Cause], motion: Motion, time
 
 
 def contribution(base: Base, causes: Sequence[Cause], cause: Cause, motion: Motion, time: Array) -> Array:
-    """What one of the causes adds (n,) [rad] to what the drive would do without it, as its sensors see it."""
+    """Signal (n,) [rad] that one of the causes adds to the error, as the drive's sensors see it."""
     others = [each for each in causes if each is not cause]
     seen = scene(motion, time - sum(each.delay for each in others))
     if type(cause).torque_reading is Cause.torque_reading:
@@ -182,7 +182,7 @@ def contribution(base: Base, causes: Sequence[Cause], cause: Cause, motion: Moti
 
 
 def added_by(record: Record, name: str) -> Array:
-    """What the cause of a name adds (n,) [rad] at the moments of a record; its std is the amplitude."""
+    """Signal (n,) [rad] that the named cause adds at the moments of a record; its std is the amplitude."""
     cause = next(cause for cause in record.causes if cause.name == name)
     return contribution(record.base, record.causes, cause, record.motion, record.time)
 
@@ -195,7 +195,7 @@ def simulate(
     recording: Recording = PLAIN,
     optional: Sequence[str] = (),
 ) -> Record:
-    """Record of a drive with faults, as its sensors report it; optional names need not be found."""
+    """Record of a drive with faults, as its sensors report it; ``optional`` names need not be found."""
     time = motion.times(recording.rate)
     if recording.jitter:
         time = noise.jittered(rng, time, recording.jitter)
@@ -219,7 +219,7 @@ def simulate(
     run = motion.run_of(time[keep])
     reported = noise.counted(clean + disturbance + wild, recording.output_bits)
     counted = noise.counted(angle, recording.input_bits)
-    clean = clean + (counted - angle) / base.design.ratio  # the input's steps are noise like the output's
+    clean = clean + (counted - angle) / base.design.ratio  # input quantisation is noise, too
     truth = {
         "base": base.as_dict(),
         "effects": {cause.name: cause.as_dict() for cause in causes},
@@ -251,14 +251,14 @@ def simulate(
 
 
 def columns(record: Record) -> dict[str, Array]:
-    """Columns by the names that the CSV file gives them."""
+    """Columns by their names in the CSV file."""
     named = {"time": record.time, "input": record.input_angle, "output": record.output_angle}
     more = {"torque": record.torque, "temperature": record.temperature}
     return named | {name: column for name, column in more.items() if column is not None}
 
 
 def write_csv(record: Record, path: Path) -> None:
-    """Write columns with a header line; numbers in full."""
+    """Write columns with a header line, numbers at full precision."""
     named = columns(record)
     table = np.stack(list(named.values()), axis=1)
     np.savetxt(path, table, "%.17g", delimiter=",", header=",".join(named), comments="")
@@ -291,7 +291,7 @@ def write_bag(record: Record, path: Path, joint: str = JOINT) -> None:
 
 
 def _joint_states(record: Record, joint: str) -> tuple[Array, Iterator[dict[str, Any]]]:
-    """Stamps of messages, and their fields."""
+    """Stamps [s] and fields of the messages."""
     names, nothing = [f"{joint}_motor", joint], np.zeros(0)
     position = np.stack([record.input_angle, record.output_angle], axis=1)
     torque = np.zeros(0) if record.torque is None else record.torque

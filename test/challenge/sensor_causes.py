@@ -1,4 +1,4 @@
-"""Faults of encoders, streams and torque sensors, and what discs off their shaft make of an angle."""
+"""Faults of encoders, streams and torque sensors, and the readings of eccentric discs."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from challenge.design import Array
 
 
 def off_centre(angle: Array, eccentricity: float, direction: float) -> Array:
-    """Reading [rad] of one head over a disc whose centre is off the shaft, a fraction of the head's radius.
+    """Reading [rad] of one head over an eccentric disc; eccentricity as a fraction of the head's radius.
 
-    The head sees the disc's angle at its own place: that of the line from the disc's centre to the head.
+    The head reads the disc's angle at its own place, the direction of the line from the disc's centre to it.
     """
     centre = angle + direction
     line = np.arctan2(-eccentricity * np.sin(centre), 1 - eccentricity * np.cos(centre))
@@ -30,9 +30,9 @@ def quadrature(angle: Array, lines: int, offset: float, phase: float, gain: floa
 
 @dataclass(frozen=True)
 class Offset(Cause):
-    """Something off the shaft that it should be on, by an offset as a fraction of the reading's radius.
+    """Something eccentric to its shaft, by an offset as a fraction of the reading's radius.
 
-    ``second`` is a second harmonic (of a disc that is tilted or oval, too) as a share of the first.
+    ``second`` is the second harmonic relative to the first (a tilted or oval disc has one, too).
     """
 
     offset: float
@@ -46,21 +46,21 @@ class Offset(Cause):
 
 
 class OutputRunout(Offset, name="output_runout"):
-    """The output flange's centre circles; the radius is the arm that reads its angle."""
+    """The output flange's centre circles; the offset is relative to the lever arm of the angle reading."""
 
     def output_reading(self, angle: Array) -> Array:
         return angle + np.arcsin(self.offset * np.sin(angle - self.direction))
 
 
 class OutputEncoderEccentricity(Offset, name="output_encoder_eccentricity"):
-    """The output encoder's disc is off the shaft; the radius is that of its head."""
+    """The output encoder's disc is off its shaft; the offset is relative to the head's radius."""
 
     def output_reading(self, angle: Array) -> Array:
         return self._off_centre(angle)
 
 
 class InputEncoderEccentricity(Offset, name="input_encoder_eccentricity"):
-    """The input encoder's disc is off the shaft; the radius is that of its head."""
+    """The input encoder's disc is off its shaft; the offset is relative to the head's radius."""
 
     def input_reading(self, angle: Array) -> Array:
         return self._off_centre(angle)
@@ -68,7 +68,7 @@ class InputEncoderEccentricity(Offset, name="input_encoder_eccentricity"):
 
 @dataclass(frozen=True)
 class EncoderInterpolation(Cause, name="encoder_interpolation"):
-    """Quadrature signals of the input encoder with an offset (fraction), ``lines`` periods a turn."""
+    """Quadrature signals of the input encoder with an offset (fraction), ``lines`` periods per turn."""
 
     offset: float
     phase: float
@@ -93,7 +93,7 @@ class OutputEncoderInterpolation(Cause, name="output_encoder_interpolation", siz
 
 @dataclass(frozen=True)
 class StreamDelay(Cause, name="stream_delay"):
-    """The output angle is older than its stamp [s]."""
+    """The output angle is older than its stamp by ``age`` [s]."""
 
     age: float
 
@@ -104,7 +104,7 @@ class StreamDelay(Cause, name="stream_delay"):
 
 @dataclass(frozen=True)
 class RatioError(Cause, name="ratio_error"):
-    """The reported input counts a fraction too much: ratio 100 (1 + fraction), or a belt not declared."""
+    """The reported input is too large by a fraction: ratio 100 (1 + fraction), or an undeclared belt."""
 
     fraction: float
 
@@ -114,7 +114,7 @@ class RatioError(Cause, name="ratio_error"):
 
 @dataclass(frozen=True)
 class TorqueOffset(Cause, name="torque_offset"):
-    """The true torque is the reported plus this [N m]."""
+    """The reported torque is smaller than the true torque by this offset [N m]."""
 
     torque: float
 
@@ -134,10 +134,10 @@ class TorqueGain(Cause, name="torque_gain"):
 
 @dataclass(frozen=True)
 class MotorCurrent(Cause, name="motor_current", sizes=("friction",)):
-    """Amperes for torque: the motor moves itself, the wave generator's friction and the load that reaches it.
+    """Current reported as torque: it includes motor inertia, friction of the wave generator and the load.
 
-    ``constant`` [N m/A] at the output; friction [N m], and as a share of the load; viscous [N m] at 1 rad/s
-    of the output, to the power 0.8; inertia of the motor seen from the output [kg m²].
+    ``constant`` [N m/A] at the output. ``friction`` [N m], ``loaded``: friction as a share of the load,
+    ``viscous`` [N m] at 1 rad/s of the output, to the power 0.8. Motor inertia seen at the output [kg m²].
     """
 
     constant: float
@@ -156,10 +156,10 @@ class MotorCurrent(Cause, name="motor_current", sizes=("friction",)):
 
 @dataclass(frozen=True)
 class TorqueSensorRipple(Cause, name="torque_sensor_ripple", sizes=("share", "constant")):
-    """Strain gauges on the flexspline read the wave generator: a share of the torque, and a part [N m].
+    """Strain gauges on the flexspline sense the wave generator: a share of the torque, and a constant [N m].
 
-    Twice a turn, and less at 1 and 4 (shares of that at 2); Taghirad, Belanger, IEEE Trans. Robotics and
-    Automation 15(1), 1999, found 2 and its multiples.
+    Two waves per turn, the share also with 1 and 4 (``once`` and ``fourfold`` relative to 2). Taghirad,
+    Belanger, IEEE Trans. Robotics and Automation 15(1), 1999, found 2 and its multiples.
     """
 
     share: float

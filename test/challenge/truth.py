@@ -1,4 +1,4 @@
-"""What a record was made from: the parameters of the drive, and the arcsecond."""
+"""True parameters of a record's drive, and the arcsecond."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class Base:
     runout, runout_psi : part that turns with the wave generator [m], direction at theta_W = 0 [rad]
     datum : radius from which the slots are measured [m]
     compliance : of one tooth pair [m/N]
-    cup : torsion of the cup beyond the teeth's [rad/(N m)]
+    cup : torsion of the cup in addition to the teeth's [rad/(N m)]
     offset : constant added to the output angle [rad]
-    design : the drive as its maker means it
+    design : the drive as its maker intends it
     """
 
     e: float = 0.0
@@ -54,7 +54,7 @@ NOMINAL = as_configured(SIZE_25)
 
 
 def drawn(rng: np.random.Generator, design: Design = SIZE_25) -> Base:
-    """Draw a drive as it may come from assembly: every parameter off, in ranges that go with the size."""
+    """Draw a drive as assembled: every parameter deviates, within ranges that scale with the size."""
     meant, k = as_configured(design), design.module
     return Base(
         e=rng.uniform(0, 25e-6) * k,

@@ -1,4 +1,4 @@
-"""Faults that no catalogue has."""
+"""Faults that are in no catalogue."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from challenge.design import Array
 
 @dataclass(frozen=True)
 class Shape:
-    """Output angle of a fault of amplitude 1, from scene and phase; order per turn of `frame`, or [Hz]."""
+    """Output angle for amplitude 1 from scene and phase; order per turn of `frame`, or frequency [Hz]."""
 
     value: Callable[[Scene, float], Array]
     order: float | None = None
@@ -42,34 +42,34 @@ def _settled(scene: Scene, phase: float) -> Array:
 
 
 SHAPES: dict[str, Shape] = {
-    # A timing belt's wheel.
+    # Wheel of a timing belt.
     "strange_order": Shape(lambda s, phase: np.cos(3.37 * s.motor - phase), 3.37),
-    # In proportion to the torque's size, three times as large one way as the other.
+    # Proportional to |torque|, three times as large in one direction as in the other.
     "one_sided_ripple": Shape(_one_sided, 2.6),
-    # A motor that cogs under load.
+    # Motor that cogs under load.
     "cogging": Shape(lambda s, phase: s.torque / 40 * np.cos(23 * s.motor - phase), 23.0),
-    # A belt at the output creeps with torque times way: the amplitude is that of 1000 rad at 50 N m.
+    # Belt at the output creeps with torque times travel; amplitude at 1000 rad and 50 N m.
     "belt_creep": Shape(_creep, frame="time"),
-    # A scratch on the output disc: the angle is wrong within some degrees of one place.
+    # Scratch on the output disc: the angle is wrong within a few degrees of one place.
     "encoder_sector": Shape(_scratch, frame="output"),
-    # Something loose on the input, in proportion to the square of the speed.
+    # Loose part on the input, proportional to the square of the speed.
     "unbalance": Shape(lambda s, phase: (s.speed / 60) ** 2 * np.cos(5.5 * s.motor - phase), 5.5),
-    # From the floor, whatever the drive does.
+    # Vibration of the floor, independent of the drive.
     "floor_vibration": Shape(lambda s, phase: np.sin(2 * np.pi * 7.3 * s.time - phase), 7.3, "time"),
-    # The link bends alike under either torque.
+    # The link bends in the same direction under either sign of torque.
     "even_torque": Shape(lambda s, phase: (s.torque / 50) ** 2, frame="torque"),
-    # A clamped output bearing, only under positive torque.
+    # Clamped output bearing, only under positive torque.
     "output_order": Shape(
         lambda s, phase: norm.cdf(s.torque / 5) * np.cos(7 * s.output - phase), 7.0, "output"
     ),
-    # A hub that settles anew, by chance, whenever the drive rests.
+    # Hub that settles at random whenever the drive rests.
     "loose_hub": Shape(_settled, frame="run"),
 }
 
 
 @dataclass(frozen=True)
 class OutputLines(Cause, name="output_lines", known=False, sizes=("amplitude",)):
-    """Lines at odd numbers per output turn [rad], as of the rollers of an output bearing."""
+    """Lines at odd orders of the output [rad], as from the rollers of an output bearing."""
 
     orders: tuple[int, ...]
     amplitude: float
@@ -82,7 +82,7 @@ class OutputLines(Cause, name="output_lines", known=False, sizes=("amplitude",))
 
 @dataclass(frozen=True)
 class Unknown(Cause, known=False, sizes=("amplitude",)):
-    """A fault with a key of `SHAPES`, of an amplitude [rad] at the output."""
+    """A fault by its key in `SHAPES`, with an amplitude [rad] at the output."""
 
     shape: str
     amplitude: float

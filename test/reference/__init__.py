@@ -1,1 +1,1 @@
-"""What the model is tested against: published values and an independent brute-force calculation."""
+"""References for the model: published values and an independent brute-force calculation."""

@@ -1,9 +1,9 @@
-"""Brute-force mesh of a harmonic drive: flanks as polylines, clearance by comparing them point by point.
+"""Brute-force mesh of a harmonic drive: flanks are polylines, compared point by point for clearance.
 
-An independent calculation against which the closed forms of the model are tested. It imports nothing of
-hd_diag and shares no formula with it beyond the statement of the problem (the paper: Dong, Chen, Wang, Dong,
-"Kinematic Model of Harmonic Drive in Robot Joints with Input Eccentricity Error", ROMANSY 22, 2019,
-doi 10.1007/978-3-319-78963-7_18). SI units, angles counter-clockwise, origin on the circular-spline axis.
+This independent calculation tests the closed forms of the model. It imports nothing of hd_diag and shares
+only the statement of the problem with it (the paper: Dong, Chen, Wang, Dong, "Kinematic Model of Harmonic
+Drive in Robot Joints with Input Eccentricity Error", ROMANSY 22, 2019, doi 10.1007/978-3-319-78963-7_18).
+SI units, angles counter-clockwise, origin on the circular-spline axis.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ class Profile:
 
 @dataclass(frozen=True)
 class Outline:
-    """Any flank: x and y of one point after the other [m], dense enough to be straight in between."""
+    """Any flank: alternating x and y of its points [m], dense enough to be straight in between."""
 
     numbers: tuple[float, ...]
 
     def part(self, x_inner: float, x_outer: float, points: int) -> Array:
-        """Polyline (2, points) from one height to another, a cubic through the points."""
+        """Polyline (2, points) from one x to another, interpolated by a cubic spline."""
         x = np.linspace(x_inner, x_outer, points)
         return np.array([x, CubicSpline(self.numbers[::2], self.numbers[1::2])(x)])
 
 
 @dataclass(frozen=True)
 class Drive:
-    """All numbers of the paper's example (Table 1 and section 4), and the two it does not print [SI]."""
+    """All numbers of the paper's example (Table 1 and section 4), and the two that it does not print [SI]."""
 
     tooth: Profile | Outline = Profile(0.2031e-3, 0.5046e-3, 0.7625e-3, 0.6929e-3, 0.0548e-3, 0.6557e-3)
     slot: Profile | Outline = Profile(0.2313e-3, 0.4357e-3, 1.2201e-3, 1.2791e-3, 0.0782e-3, 0.5886e-3)
@@ -62,7 +62,7 @@ class Drive:
     circular_spline_datum: float = 29.868e-3
     circular_spline_tip_radius: float = 30.7755e-3
     tooth_compliance: float = 1e-6
-    cam: Callable[[Array], tuple[Array, Array]] | None = None  # in place of the ellipse; radius 30 mm
+    cam: Callable[[Array], tuple[Array, Array]] | None = None  # replaces the ellipse; radius 30 mm
 
 
 DEFAULT = Drive()
@@ -79,9 +79,9 @@ class Mesh:
 
 
 def _joint_angle(p: Profile) -> float:
-    """Normal direction (sin u, cos u) of the common tangent [rad], found where the support lines coincide.
+    """Normal direction (sin u, cos u) of the common tangent [rad], where the support lines coincide.
 
-    Of the two inner tangents the flank's is the one on which x grows from the dedendum to the addendum arc.
+    Two inner tangents exist. The flank has the one along which x grows from the dedendum to the addendum arc.
     """
 
     def distance(u: float) -> float:
@@ -162,27 +162,27 @@ def _arc_table(major: float, minor: float) -> tuple[Array, Array]:
 
 
 def cosine_ring(deformation: float, angle: Array) -> tuple[Array, Array]:
-    """Displacement (radial, along the ring) of ``w0 cos 2 phi`` at angles of a ring that does not stretch."""
+    """Displacement (radial, along the ring) ``w0 cos 2 phi`` of an inextensible ring at angles [rad]."""
     return deformation * np.cos(2 * angle), -deformation / 2 * np.sin(2 * angle)
 
 
 def four_forces_ring(deformation: float, force: float, angle: Array) -> tuple[Array, Array]:
-    """The same of four forces so far from the long axis [rad], by their series to its rounding error."""
+    """Displacement by four forces at an angle [rad] from the long axis; series summed to rounding error."""
     n = np.arange(2, 4000, 2)
     size = np.cos(n * force) / (n**2 - 1.0) ** 2
     size *= deformation / size.sum()
-    turn = np.exp(2j * angle)  # powers of which are all of the series, by Horner's rule
+    turn = np.exp(2j * angle)  # the series is a polynomial in this, by Horner's rule
     radial, along = (np.polyval([*each[::-1], 0.0], turn) for each in (size, size / n))
     return radial.real, -along.imag
 
 
 RING_RADIUS = 30e-3
-"""Of the rings that are displaced [m]."""
+"""Radius of the displaced rings [m]."""
 
 
 @functools.lru_cache(maxsize=16)
 def _ring(cam: Callable[[Array], tuple[Array, Array]]) -> tuple[Array, Array, Array]:
-    """Arc length, points and normals (x + iy) of a displaced ring, its length kept by a parallel curve."""
+    """Arc length, points and normals (x + iy) of a displaced ring; a parallel curve restores its length."""
     angle = np.linspace(0, 2 * np.pi, 40_001)
     radial, along = cam(angle)
     points = (RING_RADIUS + radial + 1j * along) * np.exp(1j * angle)
@@ -193,7 +193,7 @@ def _ring(cam: Callable[[Array], tuple[Array, Array]]) -> tuple[Array, Array, Ar
 
 
 def ring_radius(drive: Drive = DEFAULT) -> float:
-    """R_b [m]: the radius of the undeformed neutral circle, of the same length as the curve."""
+    """R_b [m]: radius of the undeformed neutral circle, whose length equals that of the curve."""
     if drive.cam is not None:
         return RING_RADIUS
     return float(_arc_table(drive.semi_major, drive.semi_minor)[1][-1] / (2 * np.pi))
@@ -239,14 +239,14 @@ def tooth_axes(
     return point + np.reshape(eccentricity, (2, 1)), _turned(wave_generator_angle, normal)
 
 
-_WINDOW = 4e-6  # [m] over which a polyline is smoothed for its tangent: some twenty points, no visible bend
+_WINDOW = 4e-6  # [m], smoothing width for a polyline's tangent: about twenty points, no visible bend
 
 
 def _contact(tooth: tuple[Array, Array], wall: tuple[Array, Array]) -> tuple[float, float, float]:
-    """Least angle wall - tooth [rad], its radius [m] and pressure angle [rad] of two polar polylines.
+    """Least angle wall - tooth [rad] of two polar polylines, its radius [m] and pressure angle [rad].
 
-    The difference of two polylines has its least value at a point of the one or the other. The tangent there
-    is that of a polyline which does not end: a tip corner touches with the other body's normal.
+    The difference of two polylines is least at a point of either. A polyline that continues on both sides
+    gives the tangent there: a tip corner touches with the other body's normal.
     """
     low, high = max(tooth[0][0], wall[0][0]), min(tooth[0][-1], wall[0][-1])
     if low >= high:
@@ -268,7 +268,7 @@ def _local(x: Array, y: Array, x_0: float) -> Array:
 
 
 def _lowest(x: Array, y: Array, x_0: float) -> float:
-    """Where a polyline, smoothed about its lowest point, is lowest; a kink stays where it is."""
+    """Minimum of a polyline smoothed about its lowest point; a kink stays where it is."""
     _, slope, curvature = _local(x, y, x_0)
     step = -slope / (2 * curvature) if curvature > 0 else 0.0
     return x_0 + step if abs(step) < _WINDOW / 2 else x_0
@@ -287,7 +287,7 @@ def mesh(
 
     Displacements of the wave generator [m]: `eccentricity` is fixed in the housing, `runout` turns with it
     and is given at angle 0. `arc_offset` moves the flexspline along the neutral curve, `slot_shift` (Z_G,)
-    every slot counter-clockwise [m]. A flank's polyline has so many `points`.
+    moves every slot counter-clockwise [m]. Each flank is a polyline of `points` points.
     """
     origin, normal = tooth_axes(wave_generator_angle, eccentricity, runout, arc_offset, drive)
     x, y = _flank(drive.tooth, drive.tooth_root, drive.tooth_tip, points)
@@ -319,8 +319,8 @@ def sections(
 ) -> list[Mesh]:
     """Clearance in sections at places [m] from the middle one, positive towards the cup's open end.
 
-    In each the ellipse is deformed as much more as it is further from the cup's bottom (cup length 0: alike),
-    its perimeter kept, and its centre moved by the tilt [rad].
+    The ellipse's deformation in a section grows with its distance from the cup's bottom (cup length 0: same
+    everywhere); its perimeter is kept. The tilt [rad] displaces the section's centre.
     """
     found = []
     for z in places:
@@ -331,7 +331,7 @@ def sections(
 
 
 def deformed(drive: Drive, cup_length: float, z: float) -> Drive:
-    """A drive's section at a place [m] from the middle one; see :func:`sections`."""
+    """Section of a drive at a place [m] from the middle one; see :func:`sections`."""
     factor = 1 + z / cup_length if cup_length else 1.0
     ring, major = ring_radius(drive), drive.semi_major
     major = ring + factor * (major - ring)
@@ -345,7 +345,7 @@ def deformed(drive: Drive, cup_length: float, z: float) -> Drive:
 def shared_torsion(
     meshes: Sequence[Mesh], weights: Sequence[float], torque: float, drive: Drive = DEFAULT
 ) -> float:
-    """Torsion [rad] of sections side by side, each of a share of the width."""
+    """Torsion [rad] of parallel sections; ``weights`` are their shares of the width."""
 
     def excess(beta: float) -> float:
         held = -torque
@@ -366,7 +366,7 @@ def loads(m: Mesh, torsion: float, drive: Drive = DEFAULT) -> Array:
 
 
 def torsion(m: Mesh, torque: float, drive: Drive = DEFAULT) -> float:
-    """Torsion of the cup [rad] at which the flank forces hold a torque [N m]; at 0 a gap's middle."""
+    """Torsion of the cup [rad] at which the flank forces hold a torque [N m]; at 0 the middle of a gap."""
     arm = np.nan_to_num(m.radius * np.cos(m.pressure_angle))
 
     def excess(beta: float) -> float:

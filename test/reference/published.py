@@ -59,10 +59,10 @@ SECANT_STIFFNESS = {(1.0, T1): 3.0e4, (T1, T2): 4.8e4, (RATED_TORQUE, 100.0): 6.
 
 # Interference ---
 # The paper holds tooth 0 on the axis at the initial moment (eq. 1): the neutral curve is displaced by e along
-# y, the flexspline by -e along the curve. A tooth's backlash is the lesser of its two flanks; the least over
+# y, the flexspline by -e along the curve. A tooth's backlash is the lesser of its two flanks. The least over
 # the engagement region of tooth 0 counts (not the other lobe, where e points the other way).
-# CALCULATION: the interference first appears at ECCENTRICITY if the datum is DATUM_OF_INTERFERENCE, which is
-# 29.868 mm rounded to a micrometre. It is sharp: 0.122 um of datum move it by 1 um; with 29.868 mm it is
+# CALCULATION: the interference first appears at ECCENTRICITY if the datum is DATUM_OF_INTERFERENCE, which
+# rounds to 29.868 mm. It is sensitive: 0.122 um of datum shift it by 1 um. With 29.868 mm it appears at
 # ECCENTRICITY_AT_ROUNDED_DATUM.
 DATUM_OF_INTERFERENCE = 29.86833e-3  # [m]
 ECCENTRICITY_AT_ROUNDED_DATUM = 20.32e-6  # [m]
@@ -70,7 +70,7 @@ ECCENTRICITY_AT_ROUNDED_DATUM = 20.32e-6  # [m]
 
 # One tooth over a turn (PAPER: backlash grows, load falls) ---
 # CALCULATION: tooth 0, eccentricity along x. Least backlash of either flank and largest force at 56 N m while
-# the lobe passes tooth 0, wave-generator angle from -0.7 to 0 rad. The other lobe differs by some percent,
+# the lobe passes tooth 0 (wave-generator angle from -0.7 to 0 rad). The other lobe differs by a few percent,
 # because the tooth has moved on by one pitch (47.4 N and -9.08 um at +ECCENTRICITY).
 
 
@@ -93,23 +93,23 @@ TURNS = (
 # of the flexspline): amplitude of order 2 and peak to peak [arcsec] at e = ECCENTRICITY by torque [N m].
 ORDER_2_ARCSEC = {10.0: 24.18, 56.0: 12.55}
 PEAK_TO_PEAK_ARCSEC = {10.0: 50.92, 56.0: 25.19}
-RIPPLE_ARCSEC = {10.0: 0.1, 56.0: 0.2}  # bounds of the peak to peak at e = 0, tooth passing
+RIPPLE_ARCSEC = {10.0: 0.1, 56.0: 0.2}  # upper limits of the peak to peak at e = 0 (tooth passing)
 
 # Cams ---
-# CALCULATION (support functions by quadrature): harmonics c_k [m] of the neutral curve of radius 30 mm, the
-# ellipse's 29.999959 mm, all with the ellipse's greatest displacement, 0.258441 mm.
+# CALCULATION (support functions by quadrature): harmonics c_k [m] of the neutral curve of radius 30 mm (the
+# ellipse's is 29.999959 mm). All have the ellipse's greatest displacement, 0.258441 mm.
 ELLIPSE_RADIUS = 29.999959e-3
 ELLIPSE_HARMONICS = (0.258997587e-3, -5.59009e-7, 2.41309e-9, -1.302e-11)
 DISPLACEMENT = 0.258441e-3
 COSINE_HARMONICS = (0.25842e-3, -1.2520e-6, 1.617e-8)
-FOUR_FORCES_HARMONICS = {  # by the angle of the forces [degrees]
+FOUR_FORCES_HARMONICS = {  # keys: angle of the forces [degrees]
     25.0: (0.26464e-3, -4.273e-6, -2.574e-6, -7.9e-7),
     30.0: (0.27326e-3, -1.2496e-5, -3.750e-6, -4.7e-7),
 }
 
 # Sections ---
-# CALCULATION, five sections at Gauss-Legendre points of 11 mm, R_b = 30 mm; semi-axes follow the displacement
-# with the perimeter kept. Wave generator angle 0; eccentricity across the long axis, the tilt with it.
+# CALCULATION, five sections at Gauss-Legendre points of 11 mm, R_b = 30 mm. The semi-axes follow the
+# displacement with the perimeter kept. Wave-generator angle 0; eccentricity and tilt across the long axis.
 SECTION_TORQUES = (1.0, 14.0, 56.0, 100.0)  # [N m]
 FACE_WIDTH = 11e-3  # [m]
 
@@ -117,8 +117,8 @@ FACE_WIDTH = 11e-3  # [m]
 class SectionCase(NamedTuple):
     """Cup length [m] (0: a ring), eccentricity [m], tilt [rad]; torsions [rad], least backlashes [m].
 
-    Torsions are at `SECTION_TORQUES`; backlashes of + flanks from the bottom's side to the open end;
-    amplitude of order 2 of the wave generator's turn at those torques [arcsec], where given.
+    The torsions are at `SECTION_TORQUES`. The backlashes are those of + flanks, from the cup's bottom to its
+    open end. Where given, ``order_2`` is the amplitude per wave-generator turn at those torques [arcsec].
     """
 
     cup_length: float
@@ -161,13 +161,13 @@ SECTION_CASES = (
     ),
     _case(0.025, 0.0, 0.0, (0.7511, 5.3730, 13.867, 21.108), (-8.53, -4.24, 0.95, 4.53, 6.34)),
 )
-ECCENTRIC_ORDER_2 = (7.38, 6.70, 2.17, 1.50)  # [arcsec], of 10 um without tilt and coning
+ECCENTRIC_ORDER_2 = (7.38, 6.70, 2.17, 1.50)  # [arcsec], for 10 um without tilt and coning
 
 
 class PlaneGear(NamedTuple):
-    """A gear from its page by one section: the page's torsion at eight torques [arcsec], force at rest [N].
+    """A gear of one section fitted to its page: page torsion at eight torques [arcsec], force at rest [N].
 
-    The force is that of a fit of datum and compliances by other code.
+    The force comes from another code's fit of datum and compliances.
     """
 
     torsion: tuple[float, ...]
