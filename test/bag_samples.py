@@ -1,4 +1,4 @@
-"""Messages and bags for the tests of the bag edge."""
+"""Messages and bags for the tests of reading and writing bags."""
 
 import struct
 import tracemalloc
@@ -41,7 +41,7 @@ def string_cdr(text):
 
 
 def rows(count, start=0, names=NAMES, period=MS):
-    """`count` JointState messages with positions that tell them apart; stamps from `start` [ns]."""
+    """`count` JointState messages, each with other positions; stamps from `start` [ns]."""
     stamps = start + period * np.arange(count)
     number = np.arange(count, dtype=float)[:, None]
     position = number + np.arange(len(names)) / 10
@@ -51,7 +51,7 @@ def rows(count, start=0, names=NAMES, period=MS):
 def write_with_mcap(
     path, messages, *, compression="zstd", chunk_size=1 << 20, indexes=True, chunked=True, summary=True
 ):
-    """Write (topic, type, data, log time) by the mcap library, with the wanted parts of a file."""
+    """Write (topic, type, data, log time) with the mcap library and the requested parts of a file."""
     kinds = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
     with Path(path).open("wb") as file:
         writer = Writer(
@@ -78,7 +78,7 @@ def write_with_mcap(
 
 
 def rosbag2_folder(folder, messages, *, plugin=StoragePlugin.SQLITE3, version=9, compression="none"):
-    """Write (topic, type, data, log time) as rosbag2 does, by rosbags."""
+    """Write (topic, type, data, log time) with rosbags, as rosbag2 does."""
     writer = RosbagsWriter(folder, version=version, storage_plugin=plugin)
     writer.set_compression(CompressionMode[compression.upper()], CompressionFormat.ZSTD)
     with writer:
@@ -91,7 +91,7 @@ def rosbag2_folder(folder, messages, *, plugin=StoragePlugin.SQLITE3, version=9,
 
 
 def cut_end(path, out, *, keep=None):
-    """Copy of an MCAP file without its end: only up to the data end record, or the first `keep` bytes."""
+    """Copy of an MCAP file without its end: up to the data end record, or the first `keep` bytes."""
     data = Path(path).read_bytes()
     if keep is None:
         summary = struct.unpack("<Q", data[-28:-20])[0]
@@ -101,7 +101,7 @@ def cut_end(path, out, *, keep=None):
 
 
 def sealed(data):
-    """An MCAP file with the checksum that its summary has now."""
+    """MCAP file with a checksum that fits its present summary."""
     start, end = struct.unpack("<Q", data[-28:-20])[0], len(data) - 12
     return data[:end] + struct.pack("<I", zlib.crc32(data[start:end])) + data[-8:]
 
@@ -118,7 +118,7 @@ def consume(path):
 
 
 def accepts(path):
-    """Number of messages, or None where the bag is refused in the proper way."""
+    """Number of messages, or None if the bag is refused with a BagError."""
     try:
         return consume(path)
     except BagError as exc:
@@ -140,7 +140,7 @@ def corpus(folder):
 
 
 def damaged(data, chance):
-    """A copy with some bytes flipped, cut out, repeated or overwritten by numbers that lengths might have."""
+    """Copy with some bytes flipped, cut out, repeated or overwritten by numbers that lengths might have."""
     data = bytearray(data or b"\0")
     for _ in range(chance.randint(1, 4)):
         place = chance.randrange(len(data))
@@ -162,7 +162,7 @@ def damaged(data, chance):
 
 
 def peak_of(action):
-    """What the action gives, and the memory that it takes beyond what there was [byte]."""
+    """Result of the action and the additional memory that it takes at most [byte]."""
     tracemalloc.start()
     try:
         return action(), tracemalloc.get_traced_memory()[1]

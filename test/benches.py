@@ -1,4 +1,4 @@
-"""Linearised fits of records of the package's own drive with something added, for tests of the search."""
+"""Linearised fits of records of the package's own drive plus added signals, for tests of the search."""
 
 import dataclasses
 import functools
@@ -38,7 +38,7 @@ def swinging(seconds: float = 20.0, seed: int = 0, drive: Drive = TRUE) -> Recor
 
 
 def bench(*parts: Part, record: Record | None = None) -> LinearisedFit:
-    """At the true parameters, settled beside nothing; the parts are added to the error [rad]."""
+    """Fit at the true parameters, noise learned without causes; the parts are added to the error [rad]."""
     plain = linearise(record, CONFIGURED, POINT) if record else _plain()
     added = sum((part(plain.signals) for part in parts), np.zeros(plain.data.record.size))
     moved = dataclasses.replace(plain.data.record, output_angle=plain.data.record.output_angle + added)
@@ -51,18 +51,18 @@ def _plain() -> LinearisedFit:
 
 
 def of(effect: Effect, **values: float) -> Part:
-    """An effect's part at the size that people state."""
+    """Signal of an effect with values in its stated quantities."""
     coefficients, nonlinear = effect.from_physical(values)
     return lambda signals: effect.response(signals, coefficients, nonlinear)
 
 
 def chosen_set(fit: LinearisedFit, *causes: Item) -> Set:
-    """A set of causes alone where a fit stands: without remainders."""
+    """Set of causes at the fit's point, without remainders."""
     return Set(fit, Remainders(()), causes, fit.data.given)
 
 
 def solved(fit: LinearisedFit, *causes: Item) -> Solution:
-    """Causes as they are fitted, each of them certain."""
+    """Solution in which every cause is fitted and certain."""
     standings = {
         effect.name: Standing({effect.name: 0.0, "": -20.0}, frozenset(EFFECTS), 1e-5, 0.0)
         for effect, _ in causes

@@ -1,4 +1,4 @@
-"""A headless Chromium for tests: how pages are laid out, what they log and ask the network for."""
+"""A headless Chromium for tests: layout of pages, their log and their network requests."""
 
 import importlib.util
 import json
@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 NEEDED = "needs selenium, axe-core-python and Chromium (Debian: apt install chromium chromium-driver)"
-WIDTHS = (390, 1280)  # of a phone and of a desk [CSS px]
+WIDTHS = (390, 1280)  # of a phone and a desktop [CSS px]
 _PATIENCE = 120.0  # for axe-core on a long page [s]
 _LAYOUT, _CONTRAST = (
     Path(__file__).with_name(name).read_text(encoding="utf-8")
@@ -22,7 +22,7 @@ _LAYOUT, _CONTRAST = (
 
 
 def unavailable() -> None:
-    """Skip, or fail where the machine is one that must have it."""
+    """Skip the test, or fail on a machine that must have the browser."""
     if os.environ.get("CI"):
         pytest.fail(NEEDED)
     pytest.skip(NEEDED)
@@ -30,7 +30,7 @@ def unavailable() -> None:
 
 @contextmanager
 def chromium() -> Iterator[Any]:
-    """A driver; its own network use is off."""
+    """A driver whose own network use is off."""
     try:
         from selenium import webdriver
         from selenium.webdriver.chrome.service import Service
@@ -54,13 +54,13 @@ def chromium() -> Iterator[Any]:
 
 
 def sized(browser: Any, width: int) -> None:
-    """A window as wide as that [CSS px]; a narrow one is a phone's."""
+    """Set the window width [CSS px]; a narrow window is a phone's."""
     metrics = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": width < 600}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
 
 
 def requested(browser: Any) -> list[str]:
-    """Addresses that pages asked for since last looked at."""
+    """Addresses that pages have requested since the last call."""
     events = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
     return [
         event["params"]["request"]["url"]
@@ -70,8 +70,8 @@ def requested(browser: Any) -> list[str]:
 
 
 def opened(browser: Any, address: str, width: int = 1280) -> Any:
-    """The browser with a page; what was logged before is forgotten."""
-    browser.get("about:blank")  # a long page that is still there would be laid out anew, which takes seconds
+    """Open a page in the browser and clear the earlier log."""
+    browser.get("about:blank")  # a long page still open would be laid out again, which takes seconds
     sized(browser, width)
     browser.get_log("browser")
     browser.get_log("performance")
@@ -80,10 +80,10 @@ def opened(browser: Any, address: str, width: int = 1280) -> Any:
 
 
 def page_faults(browser: Any, address: str, rules: Sequence[str] = ("color-contrast",)) -> list[str]:
-    """What a reader of a page stumbles over at both widths: empty of a good one.
+    """Faults that a reader would notice on a page at both widths; a good page has none.
 
-    Wider than the window, cut off, text or a mark over other text, complaints in the log, files from the
-    network; and what axe-core finds by its `rules`, by day and by night: too little contrast.
+    Found: content wider than the window, cut-off text, text or a mark over other text, complaints in the log,
+    files from the network; and by `rules` of axe-core, in light and dark, too little contrast.
     """
     found = []
     for width in WIDTHS:
@@ -101,7 +101,7 @@ def page_faults(browser: Any, address: str, rules: Sequence[str] = ("color-contr
 
 
 def in_scheme(browser: Any, scheme: str) -> None:
-    """As in the dark or in the light; empty: as the machine is."""
+    """Emulate a dark or light scheme; empty: that of the machine."""
     features = [{"name": "prefers-color-scheme", "value": scheme}] if scheme else []
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
 
@@ -115,7 +115,7 @@ def _by_axe(browser: Any, rules: Sequence[str]) -> list[str]:
 
 
 def contrast(one: Sequence[float], other: Sequence[float]) -> float:
-    """Of two colours, red, green and blue from 0 to 1: from 1 to 21, as of WCAG 2.1."""
+    """Contrast from 1 to 21 (WCAG 2.1) of two colours given as red, green and blue from 0 to 1."""
     darker, brighter = sorted((_luminance(one), _luminance(other)))
     return (brighter + 0.05) / (darker + 0.05)
 
@@ -126,7 +126,7 @@ def _luminance(colour: Sequence[float]) -> float:
 
 
 class Markup(HTMLParser):
-    """Tags of a page with their attributes, its text, and all of it."""
+    """Tags of a page with their attributes, its text, and its whole source."""
 
     def __init__(self, source: str) -> None:
         super().__init__()
@@ -144,5 +144,5 @@ class Markup(HTMLParser):
         return [attributes for name, attributes in self.tags if name == tag]
 
     def values(self, *keys: str) -> list[str]:
-        """Of attributes, of whatever tag."""
+        """Values of these attributes in all tags."""
         return [attributes[key] or "" for _, attributes in self.tags for key in keys if key in attributes]

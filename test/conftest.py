@@ -1,4 +1,4 @@
-"""What all tests share: an isolated ROS, repeatable hypothesis runs, a copy of the source tree."""
+"""Shared by all tests: an isolated ROS, repeatable hypothesis runs, a copy of the source tree."""
 
 import filecmp
 import gc
@@ -34,8 +34,8 @@ hypothesis.settings.load_profile("hd_diag")
 def claim_domain() -> tuple[socket.socket, int]:
     """Claim a ROS domain that no other test process on this machine has.
 
-    Two runs on one domain drive each other's nodes. An abstract socket of that name marks the domain as
-    taken; the system frees it with the process. 0 is left to the nodes of the user.
+    Two runs on one domain would drive each other's nodes. An abstract socket with that name marks the domain
+    as taken; the system frees it with the process. Domain 0 remains for the user's nodes.
     """
     claim = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     for domain in range(1, 102):
@@ -48,7 +48,7 @@ def claim_domain() -> tuple[socket.socket, int]:
 
 
 def stale_modules() -> list[str]:
-    """Modules that differ between this tree and the hd_diag under test, where that is an installed one."""
+    """Modules that differ between this tree and the hd_diag under test, if that is an installed one."""
     tree, tested = ROOT / "hd_diag", Path(hd_diag.__file__).parent
     names = {path.relative_to(base) for base in (tree, tested) for path in base.rglob("*.py")}
     same = filecmp.cmpfiles(tree, tested, map(str, names), shallow=False)[0]
@@ -79,19 +79,19 @@ def pytest_configure(config: pytest.Config) -> None:
     config.began, config.ros_domain = time.monotonic(), claim_domain()
     os.environ["ROS_DOMAIN_ID"] = str(config.ros_domain[1])
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    # The wheels of ROS do not say where they are; a sourced ROS does.
+    # The ROS wheels do not announce their path; a sourced ROS does.
     os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
 
 
-# They share diagnosed records (report_samples), which one process then computes once, or its browser.
+# They share diagnosed records (report_samples) or the browser, so one process computes them once.
 DIAGNOSED = ("diagnose", "report", "report_browser", "fleet_page")
-# What begins first, so that the processes end together. Live nodes mostly wait, and two at once would leave a
-# core idle: the longest begin, others come after what computes, `replay_live` is late by its name.
+# First to start, so that all processes end together. Live nodes mostly wait, and two at once would leave a
+# core idle: the longest start first, others after computing tests, `replay_live` late because of its name.
 LONGEST = ("nodes", "diagnosed", "docs", "demo", "cli_fleet", "watch_live", "node", "monitor_model")
 
 
 def kept_together(file: Path) -> str:
-    """Name of what one process runs of a test's file: the file's own, or that of several."""
+    """Name of the group that one process runs: the file's own name, or that of several files."""
     name = file.stem.removeprefix("test_")
     return "diagnosed" if name in DIAGNOSED else "nodes" if name.startswith("node_") else name
 
@@ -102,14 +102,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Leave what was collected out of garbage collections: each, as one a replay, took half a second."""
+    """Exempt collected objects from garbage collection; each, as in a replay, took half a second."""
     gc.collect()
     gc.freeze()
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
-    """A file stays in one process: what its module fixtures build is built once. Live nodes come in turn."""
+    """Keep a file in one process, so that module fixtures are built once. Live nodes run in turn."""
     from xdist.scheduler import LoadScopeScheduling
 
     class ByFile(LoadScopeScheduling):
@@ -121,14 +121,14 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
 
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Any]:
-    """Chromium, one for the pages of a process: it takes three seconds to begin and end."""
+    """One Chromium for the pages of a process: starting and ending it takes three seconds."""
     with headless.chromium() as driver:
         yield driver
 
 
 @pytest.fixture(scope="module")
 def accuracy_once() -> Iterator[None]:
-    """A record's accuracy is computed once: hundreds of answers ask for it, a tenth of a second each."""
+    """Compute a record's accuracy once: hundreds of answers need it, and each takes a tenth of a second."""
     known: dict[Any, Any] = {}
 
     def once(record: Any, kinematics: Any, torque: float, orders: list[float], noise: Any) -> Any:
@@ -145,7 +145,7 @@ def accuracy_once() -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def elsewhere(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Run in a folder from which a process started by a test imports the installed package, not the tree.
+    """Run in a folder from which a test's subprocess imports the installed package, not the tree.
 
     The log files of all nodes stay out of the home folder.
     """
@@ -158,7 +158,7 @@ def elsewhere(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def ros() -> Iterator[None]:
-    """ROS in this process, for the tests of a module."""
+    """ROS in this process for the tests of a module."""
     import rclpy
 
     rclpy.init()
@@ -167,7 +167,7 @@ def ros() -> Iterator[None]:
 
 
 def source_files() -> list[str]:
-    """Files of the source tree as git sees it; empty where there is no usable git."""
+    """Files of the source tree according to git; empty without a usable git."""
     if not (ROOT / ".git").exists() or not shutil.which("git"):
         return []
     command = ["git", "-C", str(ROOT), "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
@@ -177,7 +177,7 @@ def source_files() -> list[str]:
 
 @pytest.fixture(scope="module")
 def source_copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Copy of the source tree as a clean checkout has it."""
+    """Copy of the source tree like a clean checkout."""
     copy = tmp_path_factory.mktemp("source") / "hd_diag"
     names = source_files()
     if not names:
@@ -190,13 +190,13 @@ def source_copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def paper_mesh() -> Mesh:
-    """The paper's drive without errors of assembly."""
+    """The paper's drive without assembly errors."""
     return drives.mesh()
 
 
 @pytest.fixture
 def scratch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The folder for temporary files."""
+    """Use this folder for temporary files."""
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "scratch"))
     (tmp_path / "scratch").mkdir()
     return tmp_path / "scratch"

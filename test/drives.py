@@ -1,4 +1,4 @@
-"""Drives on which the mechanics are tested: stated once, for the model and for the reference alike."""
+"""Drives for tests of the mechanics, shared by the model and the reference."""
 
 import dataclasses
 
@@ -15,7 +15,7 @@ PAPER = polyline.DEFAULT
 def resized(teeth: int, outward: float, drive: polyline.Drive = PAPER) -> polyline.Drive:
     """The drive with another number of teeth of the same size: all radii move with the pitch radius.
 
-    The circular spline stands ``outward`` [m] of that, so that 1 um of backlash is left, as in the paper.
+    The circular spline lies ``outward`` [m] further out, so that 1 um of backlash remains, as in the paper.
     """
     difference = drive.circular_spline_teeth - drive.flexspline_teeth
     ring = polyline.ring_radius(drive)
@@ -35,7 +35,7 @@ def resized(teeth: int, outward: float, drive: polyline.Drive = PAPER) -> polyli
 
 
 def scaled(factor: float, drive: polyline.Drive = PAPER) -> polyline.Drive:
-    """The drive with every length multiplied."""
+    """The drive with every length multiplied by a factor."""
 
     def grown(profile: polyline.Profile) -> polyline.Profile:
         return polyline.Profile(*(factor * length for length in dataclasses.astuple(profile)))
@@ -67,7 +67,7 @@ COARSE = resized(60, 43.5e-6)
 
 
 def shallow() -> polyline.Drive:
-    """A drive with so few teeth that reach so little that at times none is in a slot."""
+    """A drive with so few and so short teeth that at times none is in a slot."""
     drive = resized(30, 0.0)
     tip_radius = drive.semi_major + drive.tooth_tip - 0.2e-6
     outward = tip_radius - drive.circular_spline_tip_radius
@@ -85,7 +85,7 @@ def double_arc(profile: polyline.Profile) -> DoubleArc:
 
 
 def geometry(drive: polyline.Drive = PAPER, **changes: object) -> Geometry:
-    """The model's geometry of a drive, some of it changed; semi-axes are the ellipse's."""
+    """The model's geometry of a drive with some changes; semi-axes are the ellipse's."""
     axes = {name: changes.pop(name) for name in ("semi_major", "semi_minor") if name in changes}
     drive = dataclasses.replace(drive, **axes)
     own: dict[str, object] = {
@@ -108,5 +108,5 @@ def mesh(
     runout: tuple[float, float] = (0.0, 0.0),
     arc_offset: float = 0.0,
 ) -> Mesh:
-    """The model's mesh of a drive; arguments as the reference takes them."""
+    """The model's mesh of a drive; arguments as for the reference."""
     return Mesh(geometry(drive), drive.tooth_compliance, complex(*eccentricity), complex(*runout), arc_offset)

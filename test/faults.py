@@ -1,9 +1,9 @@
-"""Faults and what comes of each: one table, which the tests run and the documentation prints.
+"""Faults and their consequences in one table, which the tests run and the documentation prints.
 
     python test/faults.py
 
 writes docs/tables/faults.md. `test_faults.py` runs commands, files and values through verbs, `test_node.py`
-messages and values through a running node; what needs a test of its own is named with it.
+messages and values through a running node. Events with a test of their own name that test.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from hd_diag.messages.encoding import encode_joint_states
 PAGE = Path(__file__).resolve().parent.parent / "docs/tables/faults.md"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 
-# Bad usage and input: code 2, one line that says this, no file made or changed ---
+# Bad usage and input: code 2, one line with this text, no file made or changed ---
 
 QUICK = "tolerance --samples 12 --sensitivity-samples 2 --jobs 1"
 FLEET = "fleet a.mcap --jobs 1 --out f.parquet"
@@ -127,7 +127,7 @@ COMMANDS: dict[str, dict[str, str]] = {
     },
 }
 
-# Files of recordings: each verb ends with this code and says this ---
+# Files of recordings: each verb ends with this code and this text ---
 
 VERBS = {
     "topics": "topics FILE",
@@ -141,7 +141,7 @@ COUNT = 150
 
 
 def recording(path: Path) -> bytes:
-    """A short recording whose joint moves under a torque that swings, in chunks of 4 kB."""
+    """A short recording of a moving joint under a varying torque, in chunks of 4 kB."""
     stamp, angle = START + 10 * MS * np.arange(COUNT), np.linspace(0.0, 40.0, COUNT)
     noise = 1e-5 * np.random.default_rng(0).standard_normal(COUNT)
     position = np.column_stack((angle, angle / 100.0 + noise))
@@ -154,7 +154,7 @@ def recording(path: Path) -> bytes:
 
 
 def flipped(whole: bytes) -> bytes:
-    """One bit of a message in the middle is another."""
+    """The recording with one bit of a message in the middle inverted."""
     changed = bytearray(whole)
     changed[whole.index(b"joint_1_motor", len(whole) // 2)] ^= 1
     return bytes(changed)
@@ -162,7 +162,7 @@ def flipped(whole: bytes) -> bytes:
 
 Told = tuple[int, str]
 CUT = "is cut off or damaged at byte"
-# Too short to be judged: `report` draws the motion alone.
+# Too short to judge: `report` draws only the motion.
 SHORT: dict[str, Told] = {"diagnose": (2, "too short: "), "ripple": (2, "too little motion")}
 UNFINISHED = dict.fromkeys(VERBS, (0, CUT)) | dict.fromkeys(SHORT, (2, CUT))
 FLIPPED = "its checksum is wrong"
@@ -188,13 +188,13 @@ FILES: dict[str, tuple[Callable[[bytes], bytes], dict[str, Told]]] = {
     ),
 }
 
-# Messages: the node and a replay reject the sample, count it and go on ---
+# Messages: node and replay reject the sample, count it and continue ---
 
 times = itertools.count(START, MS)
 
 
 def shape(names: list[str], position: list[float]) -> bytes:
-    """A message with more names than positions, as no encoder here would make one."""
+    """A message with more names than positions, which no encoder here produces."""
     from rclpy.serialization import serialize_message
     from sensor_msgs.msg import JointState
 
@@ -272,7 +272,7 @@ STARTS: dict[str, tuple[str, list[str], tuple[str, ...]]] = {
     "an unknown option": (parameter_file(), ["--bogus"], ("'--bogus'",)),
 }
 
-# What happens to machine, network and processes: what comes of it, and the test that shows it ---
+# Events of machine, network and processes: the consequence, and the test that shows it ---
 
 _EVENTS = """\
 disk full | any verb | code 2, one line; what was there before stays
@@ -434,7 +434,7 @@ def page() -> str:
 
 
 def shortened(words: str) -> str:
-    """A command without the options that only make it quick."""
+    """A command without the options that only shorten its run."""
     return words.replace(QUICK, "tolerance").replace(" --jobs 1", "").replace(" --duration 0.1", "")
 
 

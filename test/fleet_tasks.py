@@ -1,4 +1,4 @@
-"""Rows, bags and stand-ins for diagnoses in the fleet's tests; workers import this module."""
+"""Rows, bags and replacements for diagnoses in the fleet's tests; workers import this module."""
 
 import time
 from pathlib import Path
@@ -40,7 +40,7 @@ def stuck_survey(path: str) -> Survey:
 
 
 def row(arcsec: float = 40.0, microns: float = 5.0, residual: float = 1.0 * ARCSEC, **more: Any) -> Row:
-    """A joint whose error and eccentricity these are, to 1 % of the limit, as a diagnosis tells it."""
+    """Row of a joint with this error and eccentricity, to 1 % of the limit, as a diagnosis returns it."""
     return {
         "bag": "bags/a.mcap",
         "robot": None,
@@ -82,31 +82,31 @@ def row(arcsec: float = 40.0, microns: float = 5.0, residual: float = 1.0 * ARCS
 
 
 def result(residual: float, **more: Any) -> Row:
-    """What a worker tells of a bag."""
+    """Result of a worker for a bag."""
     of_bag = ("bag", "robot", "bag_sha256", "start", "problems")
     return {k: value for k, value in row(residual=residual, **more).items() if k not in of_bag}
 
 
 def drawn(task: Task) -> Row:
-    """The name of its bag is its page."""
+    """Result whose page is the bag's name."""
     page = {PAGE: Path(task.bag).name} if task.drawn else {}
     return {**quick(task), **page}
 
 
 def small_bag(path: Path, day: int = 0, names: tuple[str, ...] = ("joint_1_motor", "joint_1")) -> Path:
-    """Twelve messages: enough to be looked at, too few to be judged."""
+    """Bag of twelve messages: enough to read, too few to judge."""
     block, stamps = rows(12, BEGIN + day * DAY, names)
     messages = [("/j", JOINT_STATE, block[i].tobytes(), int(stamps[i])) for i in range(12)]
     return write_with_mcap(path, messages)
 
 
 def stepped(task: Task) -> Row:
-    """From the ninth day on twice as much is left."""
+    """The residual doubles on the ninth day."""
     return result((2e-6 if _day(task) >= 8 else 1e-6) + _scatter(task))
 
 
 def drifting(task: Task) -> Row:
-    """1e-5 rad, and 1e-6 rad more every day."""
+    """The residual is 1e-5 rad and grows by 1e-6 rad a day."""
     return result(1e-5 + 1e-6 * _day(task) + _scatter(task))
 
 
@@ -126,13 +126,13 @@ def _scatter(task: Task) -> float:
 
 
 def judged(rows: list[Row]) -> Health:
-    """These rows as a run judges them."""
+    """Health of these rows as a run judges it."""
     limits = limits_of(rows)
     return health(rows, trends(series_of(rows, limits), np.random.default_rng(0)), limits)
 
 
 def fleet_rows(robots: int = 40) -> list[Row]:
-    """Eight weeks of robots with six joints: one grows through its limit, others are near it or broken."""
+    """Eight weeks of robots with six joints: one grows beyond its limit, others are near it or broken."""
     rng, rows = np.random.default_rng(0), []
     for week in range(WEEKS):
         for robot in range(1, robots + 1):

@@ -1,4 +1,4 @@
-"""Records of a joint made from the package's own drive, for tests that need no independent truth."""
+"""Records of a joint from the package's own drive, for tests that need no independent truth."""
 
 import functools
 from typing import Any
@@ -18,20 +18,20 @@ NOISE = 2.0 * ARCSEC
 
 
 def generated(made: records.Record) -> Record:
-    """A record of the benchmark's generator, prepared."""
+    """Prepared record from the benchmark's generator."""
     columns = (made.time, made.input_angle, made.output_angle, made.torque, made.temperature, made.part)
     return prepare(*columns, RATIO)
 
 
 def joint(**given: Any) -> JointConfig:
-    """A joint; names of `joint_1` with double underscores for dots."""
+    """Configuration of `joint_1`; in names ``__`` stands for a dot."""
     return config(**{f"joint_1__{name}": value for name, value in given.items()}).joints[0]
 
 
 def columns(seconds: float = 20.0, rate: float = RATE, seed: int = 0) -> dict[str, np.ndarray]:
     """Columns of a joint with an eccentricity of 12 um that moves up and down under a torque of 15 to 45 N m.
 
-    Through zero torque the teeth change flanks within a few samples, which looks like outliers.
+    The torque avoids zero, where teeth change flanks within a few samples, which looks like outliers.
     """
     return {name: column.copy() for name, column in _columns(seconds, rate, seed).items()}
 

@@ -1,4 +1,4 @@
-"""What the tests of the running monitor share: configurations, messages, what comes of them."""
+"""Shared by tests of the running monitor: configurations, messages and outputs."""
 
 import functools
 from collections.abc import Mapping, Sequence
@@ -36,7 +36,7 @@ OTHER_TWO = config(
 
 @functools.cache
 def map_of_two() -> TorsionMap:
-    """That of either joint of `TWO`: they have the same drive."""
+    """Map of either joint of `TWO`, which have the same drive."""
     return map_of(TWO.joints[0])
 
 
@@ -47,7 +47,7 @@ def states(
     effort: Sequence[Sequence[float]] | None = None,
     velocity: Sequence[Sequence[float]] | None = None,
 ) -> JointStates:
-    """Messages of one shape."""
+    """Joint states with one set of names."""
     columns = [
         None if v is None else np.array(v, np.float64).reshape(len(stamp), -1)
         for v in (position, velocity, effort)
@@ -57,18 +57,18 @@ def states(
 
 
 def message(stamp: int, position: Mapping[str, float], effort: Mapping[str, float] | None = None) -> bytes:
-    """One JointState in CDR; efforts that are not given are nan, as broadcasters write them."""
+    """One JointState in CDR; missing efforts are nan, as broadcasters write them."""
     values = None if effort is None else [[effort.get(name, np.nan) for name in position]]
     return encode_joint_states(list(position), [stamp], [list(position.values())], None, values)[0].tobytes()
 
 
 def sample(stamp: int, angle: float, output: float, torque: float, joint: str = "joint_1") -> bytes:
-    """One JointState with everything that a joint reports."""
+    """One JointState with all signals that a joint reports."""
     return message(stamp, {f"{joint}_motor": angle, joint: output}, {f"{joint}_motor": 0.0, joint: torque})
 
 
 class Recording:
-    """Sink of a session: what left, by topic."""
+    """Sink of a session that keeps everything sent, by topic."""
 
     def __init__(self) -> None:
         self.all: list[Encoded] = []
@@ -85,6 +85,6 @@ class Recording:
 
 
 def with_log(path: object, *joints: str, **own: Any) -> dict[str, Any]:
-    """Parameters of joints, twenty reports a second, and a log at a path; `own` are parameters of the log."""
+    """Parameters of joints, twenty reports per second, and a log at a path; `own` are log parameters."""
     log = {f"log.{name}": value for name, value in own.items()}
     return {**parameters(*joints, diagnostics_rate=20.0), "log.path": str(path), **log}

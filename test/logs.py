@@ -1,4 +1,4 @@
-"""Logs of a session without ROS, and what a log holds."""
+"""Logs of a session without ROS, and the contents of a log."""
 
 import itertools
 import tempfile
@@ -15,7 +15,7 @@ from hd_diag.replay.replay import replay
 
 
 class Log(Recording):
-    """A recording that is also written as the node writes its log."""
+    """A recording that is also written to a file, like the node's log."""
 
     def __init__(self, path: Path, **options: Any) -> None:
         super().__init__()
@@ -29,19 +29,19 @@ class Log(Recording):
             self.writer.write(topic, encoded.type_name, bytes(row), received)
 
     def receive(self, session: Session, data: bytes) -> None:
-        """A JointState in CDR comes in."""
+        """Receive a JointState in CDR."""
         now = next(self.clock)
         self.writer.write("/joint_states", JOINT_STATE, data, now)
         session.joint_state(now, data)
 
     def warm(self, session: Session, joint: str, data: bytes) -> None:
-        """A Temperature in CDR comes in."""
+        """Receive a Temperature in CDR."""
         self.writer.write(f"/{joint}/temperature", TEMPERATURE, data, next(self.clock))
         session.temperature(joint, data)
 
 
 def messages_of(bag: Path, *topics: str, grouped: bool = False) -> list[tuple[str, str, bytes, int]]:
-    """Topic, type, CDR and log time [ns] of a bag's messages, in order; `grouped`: in that of each topic."""
+    """Topic, type, CDR and log time [ns] of a bag's messages in order; `grouped`: topic by topic."""
     with BagReader(bag) as reader:
         return [
             (batch.topic.name, batch.topic.type_name, bytes(data), time)
@@ -59,14 +59,14 @@ def content(bag: Path) -> dict[str, list[tuple[int, bytes]]]:
 
 
 def whole(bag: Path) -> int:
-    """Number of messages of a bag in which nothing is wrong."""
+    """Number of messages of a bag without problems."""
     with BagReader(bag) as reader:
         assert not reader.problems
         return reader.message_count
 
 
 def replayed(log: Path) -> dict[str, list[tuple[int, bytes]]]:
-    """Content of a log whose replay is the same to the last bit."""
+    """Content of a log, after checking that its replay is the same bit for bit."""
     with tempfile.TemporaryDirectory() as folder:
         again = Path(folder) / "again.mcap"
         replay(log, again)

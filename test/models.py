@@ -1,4 +1,4 @@
-"""Extended models that the tests share: a refitted drive with stateful and other effects, and their files."""
+"""Extended models that tests share: a refitted drive with stateful and other effects, and its file."""
 
 import json
 from pathlib import Path
@@ -23,7 +23,7 @@ REFIT = {
     "tooth_compliance": 0.93e-6,
     "cup_compliance": 3e-6,
 }
-PITCH = (3e-7, 1e-6, 3e-7, 2e-7, 1e-7, 1e-7, 1e-7, 1e-7)  # [m], of one to eight periods around
+PITCH = (3e-7, 1e-6, 3e-7, 2e-7, 1e-7, 1e-7, 1e-7, 1e-7)  # [m], of one to eight periods around the gear
 VALUES = {
     name: dict(zip((quantity.name for quantity in EFFECTS[name].quantities), values, strict=True))
     for name, values in {
@@ -49,7 +49,7 @@ def term(name: str, values: dict[str, float] | None = None) -> Term:
 
 
 def own(joint: str = "joint_1", given: Config | None = None) -> dict[str, Any]:
-    """Parameters of a joint by their names within it."""
+    """Parameters of a joint by their names without the joint."""
     return of_joint((given or config(joint)).flat, joint)
 
 

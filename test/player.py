@@ -1,4 +1,4 @@
-"""A bag player on rclpy, as ``ros2 bag play --clock`` is one, and the angles that a bag holds."""
+"""A bag player on rclpy, like ``ros2 bag play --clock``, and the angles in a bag."""
 
 import time
 from collections.abc import Collection
@@ -26,9 +26,9 @@ class Player:
         self._clock = rig.publisher("clock", Clock)
 
     def play(self, rate: float, loops: int, dropped: Collection[int]) -> int:
-        """Play at a multiple of the bag's pace, again and again; give the number of messages published.
+        """Play repeatedly at a multiple of the bag's pace; return the number of messages published.
 
-        `dropped` are the numbers of messages that get lost on the way.
+        `dropped` are the indices of messages that get lost on the way.
         """
         first, published = self._messages[0][-1], 0
         for _ in range(loops):

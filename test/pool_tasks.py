@@ -1,4 +1,4 @@
-"""What the workers of a pool do in the tests; in a module, for workers import it, and a light one."""
+"""Tasks of pool workers in the tests; a light module, because workers import it."""
 
 import dataclasses
 import os
@@ -57,7 +57,7 @@ def greedy(size: int) -> int:
 
 
 def stuck(name: str) -> str:
-    """Hangs for ever: in a system call for ``fifo``, with the interpreter's lock for ``pattern``."""
+    """Hang for ever: in a system call for ``fifo``, holding the interpreter's lock for ``pattern``."""
     note(name)
     time.sleep(0.4)
     if name == "fifo":
@@ -74,14 +74,14 @@ def setting(name: str) -> str | None:
 
 
 class Unsendable(Exception):
-    """An exception that pickle cannot make again, as many are."""
+    """An exception that pickle cannot restore, like many."""
 
     def __init__(self, number: int, text: str) -> None:
         super().__init__(f"{number}: {text}")
 
 
 class PoolHere:
-    """Stands in for a pool of processes: does its tasks at once, in this process."""
+    """Replacement for a pool of processes: runs its tasks at once in this process."""
 
     def workers(self) -> list[int]:
         return [0]
@@ -101,13 +101,13 @@ class PoolHere:
 
 @dataclasses.dataclass(eq=False)
 class Outcome:
-    """Of a task, which it stands for."""
+    """Value of a task that has run."""
 
     value: object
 
 
 def alive(process: int) -> bool:
-    """Whether a process runs; one that has ended and is not yet missed does not."""
+    """Whether a process runs; a zombie does not."""
     try:
         return "\nState:\tZ" not in Path(f"/proc/{process}/status").read_text()
     except OSError:

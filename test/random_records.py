@@ -1,4 +1,4 @@
-"""Records of any make, as joints, loggers and spreadsheets give them: a seed gives a file and a command."""
+"""Random records as joints, loggers and spreadsheets give them: a seed gives a file and a command."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _PAGES = (
     "--size 17 --ratio 81 --rated-torque 15.5 --k1 10500 --k2 16900 --k3 19500 --output circular_spline",
 )
 GEARS = tuple(tuple(page.split()) for page in _PAGES)
-"""Options of ``hd-diag gear``: several sizes, both outputs, a ratio that is negative."""
+"""Options of ``hd-diag gear``: several sizes, both outputs, a negative ratio."""
 
 _RATIOS, _RATED = (100.0, 50.0, -50.0, 81.0), (56.0, 6.89, 952.0, 15.5)
 _MOST_ROWS = 1400
 
 
 class Case(NamedTuple):
-    """A verb with its options but the configuration, and the number of the gear in `GEARS`."""
+    """A verb with its options except for the configuration, and the index of the gear in `GEARS`."""
 
     arguments: tuple[str, ...]
     gear: int
@@ -32,7 +32,7 @@ Columns = dict[str, np.ndarray]
 
 
 def case(seed: int, folder: Path) -> Case:
-    """Write a record into a folder and say what is done with it."""
+    """Write a record into a folder and return the command for it."""
     rng = np.random.default_rng(seed)
     gear = int(rng.integers(len(GEARS)))
     columns = _motion(rng, _RATIOS[gear], _RATED[gear])
@@ -44,7 +44,7 @@ def case(seed: int, folder: Path) -> Case:
 
 
 def _motion(rng: np.random.Generator, ratio: float, rated: float) -> Columns:
-    """Moves of one length with rests between, at one rate, of a joint with a few waves and some noise."""
+    """Equal moves with rests between them, at one rate, with a few waves and some noise."""
     rate, rows = float(np.exp(rng.uniform(*np.log((5.0, 5000.0))))), int(np.exp(rng.uniform(5.2, 7.2)))
     rows = min(rows, _MOST_ROWS)
     time = np.arange(rows) / rate
@@ -114,14 +114,14 @@ def _gaps(columns: Columns, rng: np.random.Generator) -> Columns:
 
 
 def _still(columns: Columns, rng: np.random.Generator) -> Columns:
-    """All but a few rows at rest."""
+    """Hold all but a few rows at rest."""
     count = columns["t"].size
     held = np.minimum(np.arange(count), int(count * rng.choice((0.0, 0.01, 0.1, 0.5))))
     return {name: column if name in "th" else column[held] for name, column in columns.items()}
 
 
 def _held(columns: Columns, rng: np.random.Generator) -> Columns:
-    """Values repeat for some rows: one column, or all but the stamps."""
+    """Repeat values for some rows: in one column, or in all but the stamps."""
     count, rows = columns["t"].size, int(rng.choice((2, 5, 50)))
     held, names = np.arange(count) // rows * rows, rng.choice(("x", "y", "q", "xyqh"))
     return {name: column[held] if name in names else column for name, column in columns.items()}
@@ -147,7 +147,7 @@ def _cut(columns: Columns, rng: np.random.Generator) -> Columns:
 
 
 def _recordings(columns: Columns, rng: np.random.Generator) -> Columns:
-    """Recordings of a few rows each."""
+    """Split into recordings of a few rows each."""
     number = np.arange(columns["t"].size) // int(rng.choice((1, 2, 5, 30, 400)))
     return {**columns, "r": number.astype(np.float64)}
 

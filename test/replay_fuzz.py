@@ -1,4 +1,4 @@
-"""Bags that no node has written: whole logs with damage in the file, in its messages and in its events."""
+"""Bags that no node would write: logs with damaged files, messages or events."""
 
 import itertools
 import json
@@ -27,7 +27,7 @@ Message = tuple[str, str, bytes, int]
 
 
 def log_of(path: Path) -> Path:
-    """A small log as the node writes it, without maps, which take time."""
+    """A small log like the node's, without maps, which take time."""
     log = Log(path, chunk_size=4000)
     session = Session(CONFIG, log)
     session.start(START)
@@ -45,7 +45,7 @@ def log_of(path: Path) -> Path:
 
 
 def spoiled_messages(messages: list[Message], chance: random.Random) -> list[Message]:
-    """Some messages damaged, repeated, at other times, left out or of another topic."""
+    """Messages with some damaged, repeated, moved in time, left out or put on another topic."""
     made = list(messages)
     for _ in range(chance.randint(1, 5)):
         at = chance.randrange(len(made))
@@ -76,7 +76,7 @@ VALUES = ("null", "-1", "1e999", "NaN", '""', "[]", "{}", '"a"', "true", "1" * 3
 
 
 def spoiled_events(messages: list[Message], chance: random.Random) -> list[Message]:
-    """A value or a key of some event replaced by another."""
+    """Messages in which a value or a key of some events is replaced."""
     made = list(messages)
     events = [i for i, entry in enumerate(made) if entry[1] == STRING]
     for _ in range(chance.randint(1, 3)):
@@ -84,7 +84,7 @@ def spoiled_events(messages: list[Message], chance: random.Random) -> list[Messa
         topic, kind, data, time = made[at]
         try:
             text = read_string(data)
-        except Exception:  # an earlier turn has spoiled it
+        except Exception:  # an earlier replacement has spoiled it
             continue
         tokens = list(re.finditer(r'"[^"]*"|-?\d[\d.e+-]*|true|false|null', text))
         if not tokens:
@@ -96,7 +96,7 @@ def spoiled_events(messages: list[Message], chance: random.Random) -> list[Messa
 
 
 class Fuzz:
-    """One damaged bag after the other through the command line; whatever is no proper answer is an error."""
+    """Pass damaged bags through the command line; anything but a proper answer is an error."""
 
     def __init__(self, folder: Path, seed: int) -> None:
         self._folder = folder
@@ -115,7 +115,7 @@ class Fuzz:
         self.counts = {"accepted": 0, "refused": 0}
 
     def turn(self) -> None:
-        """Make a bag and put it through."""
+        """Make a bag and pass it through a command."""
         self._make()
         arguments = [str(self.bag), "--out", str(self._folder / "out.mcap"), "--overwrite"]
         if self._chance.random() < 0.15:
@@ -128,7 +128,7 @@ class Fuzz:
             self._diagnose()
 
     def check(self, result: Result) -> None:
-        """Exit code 0 and a bag that can be read, or 2 and one line."""
+        """Accept exit code 0 with a readable bag, or code 2 with one line."""
         if result.exception is not None and not isinstance(result.exception, SystemExit):
             raise result.exception
         if result.exit_code == 0:
@@ -153,7 +153,7 @@ class Fuzz:
             write_with_mcap(self.bag, spoiled_events(self._messages, self._chance))
 
     def _diagnose(self) -> None:
-        """The reader of `hd-diag diagnose`."""
+        """Read the bag as `hd-diag diagnose` does."""
         try:
             read_bags([self.bag], CONFIG.joints[0])
         except (BagError, RecordError) as error:

@@ -1,4 +1,4 @@
-"""Reports for the tests of pages: diagnoses of the independent generator's records, each computed once."""
+"""Reports for tests of pages: diagnoses of the independent generator's records, each computed once."""
 
 import dataclasses
 import functools
@@ -25,11 +25,11 @@ from hd_diag.tolerance.study import with_allowed
 CAUSES = {"output_runout": 0, "input_encoder_eccentricity": 12}  # effect and development seed
 HOSTILE = "<script>alert(1)</script><img src=x onerror=alert(2)>$\\frac{1}{2}$]]>\"'&\u202egnp\x07"
 RATE = 200.0  # [Hz]
-RUN = 5.0  # [s]; twelve of them, half as long as the benchmark's
+RUN = 5.0  # [s]; twelve runs, half as long as the benchmark's
 
 
 def generated(family: str, seed: int, *names: str, run: float = RUN) -> records.Record:
-    """Record of a family's seed with causes of these names."""
+    """Record of a family's seed with the named causes."""
     rng = families.generator(family, seed)
     standard = motion.standard(rng)
     moved = motion.Motion(tuple(dataclasses.replace(each, duration=run) for each in standard.runs))
@@ -46,7 +46,7 @@ def diagnosed(made: records.Record) -> Diagnosis:
 
 @functools.cache
 def made(name: str) -> records.Record:
-    """Record with one cause."""
+    """Record with the named cause."""
     return generated("one_effect", CAUSES[name], name)
 
 
@@ -57,7 +57,7 @@ def diagnosis(name: str) -> Diagnosis:
 
 @functools.cache
 def eccentric() -> Diagnosis:
-    """Of a record of the package's own drive, off centre and no more."""
+    """Diagnosis of a record of the package's own drive with an eccentricity only."""
     return diagnose(prepared(columns(8.0)), joint().drive, np.random.default_rng(0))
 
 
@@ -67,7 +67,7 @@ def joint_report(name: str, **names: str) -> JointReport:
 
 
 def report_of(found: Diagnosis, **names: str) -> JointReport:
-    """Report of a diagnosis, as of a joint with these names in JointState."""
+    """Report of a diagnosis for a joint with these names in JointState."""
     whole = configured(**names)
     return of_diagnosis(found, whole.joints[0], whole.flat, np.random.default_rng(0))
 
@@ -78,19 +78,19 @@ def configured(**names: str) -> Config:
 
 @functools.cache
 def hostile_page() -> str:
-    """Page of two joints with names that want to be markup."""
+    """Page of two joints whose names look like markup."""
     names = {"input_joint": HOSTILE, "output_joint": HOSTILE + "2"}
     return page([joint_report("output_runout", **names)] * 2, [Fact(HOSTILE, HOSTILE)])
 
 
 @functools.cache
 def judged(name: str) -> Diagnosis:
-    """With the eccentricity that the drive may have, as a verb tells it."""
+    """Diagnosis with the allowed eccentricity, as a verb reports it."""
     return with_allowed(diagnosis(name), config().flat, "joint_1")
 
 
 def known_to_the_command_line(monkeypatch: pytest.MonkeyPatch, name: str) -> list[tuple[Record, Catalogue]]:
-    """From now on `hd-diag` has this diagnosis without computing it; gives what it had asked for."""
+    """From now on `hd-diag` returns this diagnosis without computing it; returns the list of requests."""
     asked: list[tuple[Record, Catalogue]] = []
 
     def known(
@@ -106,12 +106,12 @@ def known_to_the_command_line(monkeypatch: pytest.MonkeyPatch, name: str) -> lis
 
 
 def letters(text: str) -> str:
-    """Letters and digits of a text: what it says, however it is set."""
+    """Letters and digits of a text, so that layout does not matter."""
     return re.sub(r"\W+", "", text).lower()
 
 
 def without_output(path: Path, joint: str) -> None:
-    """A bag whose joint reports its input and torque only."""
+    """Write a bag whose joint reports only input and torque."""
     record = made("output_runout")
     silent = dataclasses.replace(record, output_angle=np.full_like(record.output_angle, np.nan))
     records.write_bag(silent, path, joint)

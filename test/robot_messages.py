@@ -1,4 +1,4 @@
-"""Messages of other robots' drivers, with the fields that a mapping needs; definitions as bags hold them."""
+"""Messages of other robots' drivers with the fields of a mapping; definitions as bags contain them."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -67,7 +67,7 @@ START = 1_760_000_000 * 10**9  # [ns]
 
 
 class Messages:
-    """Makes messages of a type that a definition gives, and writes bags of them."""
+    """Makes messages of a type from its definition, and writes them into bags."""
 
     def __init__(self, known: Definition) -> None:
         self.known, self.store = known, get_typestore(Stores.EMPTY)
@@ -76,7 +76,7 @@ class Messages:
         self.store.register(types)
 
     def of(self, short: str, *fields: Any) -> Any:
-        """A message, by its type's last name."""
+        """Message of a type, given by its last name."""
         (full,) = (name for name in self.store.types if name.endswith(f"/{short}"))
         return self.store.types[full](*fields)
 
@@ -92,7 +92,7 @@ class Messages:
         return bytes(self.store.serialize_cdr(message, name, little_endian=little_endian))
 
     def write(self, path: Path, topic: str, messages: Iterable[tuple[int, Any]]) -> Path:
-        """A bag with messages at log times [ns]."""
+        """Write a bag with messages at log times [ns]."""
         with BagWriter(path) as writer:
             writer.add_topic(topic, self.known.type_name, known=self.known)
             for time, message in messages:
@@ -101,12 +101,12 @@ class Messages:
 
 
 def stamps(time: np.ndarray) -> list[int]:
-    """Stamps of times [s] in ns."""
+    """Stamps [ns] of times [s]."""
     return [START + round(1e9 * t) for t in time.tolist()]
 
 
 def dynamic_states(messages: Messages, given: dict[str, np.ndarray]) -> list[tuple[int, Any]]:
-    """What ros2_control's broadcaster publishes; the other joint has other interfaces."""
+    """Messages of ros2_control's broadcaster; the other joint has other interfaces."""
     found = []
     columns = zip(stamps(given["time"]), given["input"], given["output"], given["torque"], strict=True)
     for stamp, motor, link, torque in columns:
@@ -119,7 +119,7 @@ def dynamic_states(messages: Messages, given: dict[str, np.ndarray]) -> list[tup
 
 
 def franka_states(messages: Messages, given: dict[str, np.ndarray], ratio: float) -> list[tuple[int, Any]]:
-    """Both encoders of a Franka's joint 4; the motor's angle is given at the link's side."""
+    """Both encoders of a Franka's joint 4; the motor angle refers to the link's side."""
     names, found = [f"fr3_joint{i}" for i in range(1, 8)], []
     columns = zip(stamps(given["time"]), given["input"], given["output"], given["torque"], strict=True)
     for stamp, motor, link, torque in columns:
@@ -133,7 +133,7 @@ def franka_states(messages: Messages, given: dict[str, np.ndarray], ratio: float
 
 
 def kuka_states(messages: Messages, given: dict[str, np.ndarray]) -> list[tuple[int, Any]]:
-    """A KUKA's joint 4, of which one angle and the torque are known; no header."""
+    """A KUKA's joint 4 with one angle and the torque; no header."""
     found = []
     for stamp, link, torque in zip(stamps(given["time"]), given["output"], given["torque"], strict=True):
         links, torques = np.arange(7.0), np.arange(7.0)

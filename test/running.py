@@ -1,4 +1,4 @@
-"""A node as its users run it, in a process of its own, and the other side of its topics."""
+"""A node in its own process, as users run it, and the tests' side of its topics."""
 
 import contextlib
 import itertools
@@ -23,7 +23,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-LIMIT = 60.0  # for discovery and answers, on a machine that does much else [s]
+LIMIT = 60.0  # for discovery and answers on a busy machine [s]
 START_LIMIT = 500.0  # for the first node on a machine, which compiles the model [s]
 PUBLISHER_DEPTH = 5000
 Condition = Callable[[dict[str, str]], bool]
@@ -33,8 +33,8 @@ _numbers = itertools.count()
 class Process:
     """``python -m hd_diag.ros.node`` with a parameter file.
 
-    Every node of a test process has a namespace of its own, its diagnostics too. With `by_config` it is
-    ``hd-diag node --config``, with a file that begins with the node's name.
+    Every node of a test process has its own namespace, also for diagnostics. `by_config` runs
+    ``hd-diag node --config`` instead, with a file that begins with the node's name.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class Process:
             self.popen = subprocess.Popen(command, stdout=stderr, stderr=stderr)
 
     def end(self, number: int = signal.SIGTERM) -> int:
-        """Send a signal and wait for the end; exit code."""
+        """Send a signal, wait for the end and return the exit code."""
         self.popen.send_signal(number)
         return self.popen.wait(LIMIT)
 
@@ -73,7 +73,7 @@ class Process:
 
 
 class Rig:
-    """What stands around the node: publishers, subscriptions, a parameter client."""
+    """Publishers, subscriptions and a parameter client around a node."""
 
     def __init__(self, process: Process) -> None:
         self.process = process
@@ -87,7 +87,7 @@ class Rig:
         self.until(lambda: self.reports, "first report", START_LIMIT)
 
     def until(self, condition: Callable[[], Any], what: str, limit: float = LIMIT) -> Any:
-        """Result of the condition as soon as it is true."""
+        """Wait until the condition is true and return its result."""
         end = time.monotonic() + limit
         while not (result := condition()):
             code = self.process.popen.poll()
@@ -97,7 +97,7 @@ class Rig:
         return result
 
     def drain(self) -> None:
-        """Take what has already arrived."""
+        """Take everything that has already arrived."""
         quiet = 0
         while quiet < 5:
             before = len(self.reports)
@@ -105,7 +105,7 @@ class Rig:
             quiet = quiet + 1 if len(self.reports) == before else 0
 
     def publisher(self, topic: str = "joint_states", kind: Any = JointState, reliable: bool = True) -> Any:
-        """Publisher that the node hears."""
+        """Publisher that the node has discovered."""
         reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
         profile = QoSProfile(depth=PUBLISHER_DEPTH, reliability=reliability)
         made = self.node.create_publisher(kind, topic, profile)
@@ -113,17 +113,17 @@ class Rig:
         return made
 
     def acknowledged(self, publisher: Any) -> None:
-        """Wait until the node has all that was published: from then on DDS tells it what it loses.
+        """Wait until the node has everything published: from then on DDS reports its losses to the node.
 
-        Of a publisher that it has just found it counts nothing as lost.
+        For a publisher that it has just discovered, DDS counts no losses.
         """
         assert publisher.wait_for_all_acked(Duration(seconds=LIMIT))
 
     def hear(self, kinds: Mapping[str, Any]) -> dict[str, list[Any]]:
-        """Subscribe to topics of the node, by their types: everything from now on comes into a list of each.
+        """Subscribe to topics of the node, by their types; each topic gets a list of its later messages.
 
-        What was heard before is left: who goes on taking large messages has time for little else. The node
-        learns of subscriptions in their order: once a later one gets a report, it knows of all before.
+        Earlier subscriptions end, because taking large messages leaves time for little else. The node learns
+        of subscriptions in their order: once a later one receives a report, the node knows all earlier ones.
         """
         while self._heard:
             self.node.destroy_subscription(self._heard.pop())
@@ -147,7 +147,7 @@ class Rig:
         condition: Condition = lambda values: True,
         meanwhile: Callable[[], None] = lambda: None,
     ) -> DiagnosticStatus:
-        """The first report from now on that fulfils a condition; something is done meanwhile, each time."""
+        """First report from now on that fulfils a condition; ``meanwhile`` is called before each check."""
         self.drain()
         seen = len(self.reports)
 
@@ -168,7 +168,7 @@ class Rig:
         return values_of(self.status(joint, *conditions))
 
     def set(self, atomically: bool = False, **given: Any) -> list[SetParametersResult]:
-        """Set parameters as another process does; ``__`` stands for a dot."""
+        """Set parameters as another process does; in names ``__`` stands for a dot."""
         parameters = [Parameter(name.replace("__", "."), value=value) for name, value in given.items()]
         self.until(self.client.services_are_ready, "parameter services")
         call = self.client.set_parameters_atomically if atomically else self.client.set_parameters
@@ -184,7 +184,7 @@ class Rig:
         return list(future.result().values)
 
     def call(self, name: str, kind: Any = Trigger, **fields: Any) -> tuple[bool, str]:
-        """Answer of a service of the node, which comes at once."""
+        """Call a service of the node that answers at once; returns its answer."""
         client = self.node.create_client(kind, f"hd_diag/{name}")
         self.until(client.service_is_ready, f"service {name}")
         asked = client.call_async(kind.Request(**fields))
@@ -198,7 +198,7 @@ class Rig:
 
 
 def children(pid: int, word: bytes) -> list[int]:
-    """Processes that a process has begun and whose command has a word."""
+    """Processes started by a process whose command contains a word."""
     found = []
     for each in Path("/proc").glob("[0-9]*"):
         try:
@@ -222,7 +222,7 @@ def stamp_of(message: Any) -> int:
 def feed(
     publisher: Any, stamps: Iterator[int], count: int, rate: float = 1000.0, joint: str = "joint_1"
 ) -> None:
-    """Publish samples of a joint that turns, at a rate [Hz]."""
+    """Publish samples of a turning joint at a rate [Hz]."""
     begin = time.monotonic()
     for i in range(count):
         stamp = next(stamps)
@@ -234,7 +234,7 @@ def feed(
 def running(
     folder: Path, parameters: Mapping[str, Any], *arguments: str, by_config: bool = False
 ) -> Iterator[Rig]:
-    """A node that answers, and what stands around it."""
+    """A node that answers, with its rig."""
     with Process(folder, parameters, *arguments, by_config=by_config) as process:
         rig = Rig(process)
         try:

@@ -1,4 +1,4 @@
-"""The drawing of the gear: in true scale it is the model's gear, and RViz can read it."""
+"""The drawing of the gear: in true scale it matches the model, and RViz can read it."""
 
 import dataclasses
 
@@ -36,10 +36,11 @@ def points(shape: Shape) -> np.ndarray:
 
 @pytest.fixture(params=[1, 8])
 def chords(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch):
-    """What the chords do to a clearance [m], as drawn and with 8 times as many of them.
+    """Largest error of a clearance [m] from drawing chords, as drawn and with 8 times as many.
 
-    A chord over a height h misses an arc of radius rho at the slope gamma by h^2 / (8 rho cos^3 gamma) across
-    the tooth: at most 9 um for h = 66 um, where the slot's convex arc (rho 0.436 mm) ends at 58 degrees.
+    Across the tooth a chord of height h misses an arc of radius rho at slope gamma by
+    h^2 / (8 rho cos^3 gamma): at most 9 um for h = 66 um, where the slot's convex arc
+    (rho 0.436 mm) ends at 58 degrees.
     """
     kept = (markers._tooth_outline, markers._slots)
     monkeypatch.setattr(markers, "_FLANK_POINTS", 8 * request.param + 1)
@@ -51,7 +52,7 @@ def chords(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch):
 
 
 def drawn_gaps(gear: Drive, drawn: dict[str, Shape]) -> np.ndarray:
-    """Circumferential gap of each tooth's flanks (+, -) to the walls of its slot [m], by the lines drawn."""
+    """Circumferential gap [m] of each tooth's flanks (+, -) to its slot's walls, from the drawn lines."""
     geometry = gear.mesh.geometry
     ring = points(drawn["circular_spline"])[:-1].reshape(geometry.circular_spline_teeth, -1)
     wall = ring[0, ring.shape[1] // 2 :]  # counter-clockwise wall of slot 0, from its bottom inwards
@@ -138,7 +139,7 @@ def test_colours_are_viridis() -> None:
 def test_every_line_is_seen_on_dark_and_light_ground_and_before_the_faces() -> None:
     drawn = shapes(drive())
     for shape in (shape for shape in drawn.values() if shape.kind != "triangle_list"):
-        for ground in (48 / 255, 0.07, 1.0):  # RViz, Foxglove's dark one, white
+        for ground in (48 / 255, 0.07, 1.0):  # RViz, dark Foxglove, white
             assert contrast(shape.colour[:3], (ground,) * 3) > 2.0, shape.name
         if shape.kind.startswith("line"):
             assert drawn["teeth"].points[:, 2].max() < shape.points[:, 2].min(), shape.name
@@ -175,11 +176,11 @@ def test_load_of_another_gear_is_refused() -> None:
 
 
 CUP = {"face_width": 11e-3, "cup_length": 0.04, "sections": 3}
-TEETH, FRONT, BAND = 200, 24, 30  # vertices of a tooth's face, and of its flanks in a band
+TEETH, FRONT, BAND = 200, 24, 30  # vertices of a tooth's face, and of its flanks in one band
 
 
 def bands(shape: Shape, values: np.ndarray) -> np.ndarray:
-    """Of the bands alone, (sections, teeth, vertices, ...)."""
+    """Values of the bands only, (sections, teeth, vertices, ...)."""
     return values[TEETH * FRONT :].reshape(3, TEETH, BAND, -1)
 
 
@@ -189,12 +190,12 @@ def test_a_section_is_a_band_of_its_share_of_the_width_in_its_place() -> None:
     for name in ("circular_spline", "wave_generator"):
         np.testing.assert_allclose(np.unique(drawn[name].points[:, 2]), [-5.5e-3, 5.5e-3], rtol=1e-12)
     found = bands(drawn["teeth"], drawn["teeth"].points)
-    z = found[..., 2] - drawn["teeth"].points[0, 2] + 5.5e-3  # faces lie a little below the lines
+    z = found[..., 2] - drawn["teeth"].points[0, 2] + 5.5e-3  # faces lie slightly below the lines
     np.testing.assert_allclose(np.ptp(z, axis=(1, 2)), 11e-3 * geometry.section_weights, rtol=1e-12)
     np.testing.assert_allclose(z.max(axis=(1, 2))[:-1], z.min(axis=(1, 2))[1:], rtol=1e-12)
     places = geometry.section_places
     assert np.all((z.min(axis=(1, 2)) <= places) & (places <= z.max(axis=(1, 2))))
-    plane = drive()  # in the middle the cup has its curve
+    plane = drive()  # in the middle section the cup has its nominal curve
     mesh = dataclasses.replace(plane.mesh, eccentricity=gear.mesh.tilt * places[1])
     alone = dataclasses.replace(plane, mesh=mesh)
     state = mesh_state(gear, np.array([0.3]), gear.frame.cup_torque(np.array([40.0])))

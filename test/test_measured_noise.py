@@ -1,4 +1,4 @@
-"""Noise as it is measured: right whatever its colour, its tails, its counts, and the misfit beside it."""
+"""Measured noise: right for any colour, tails, encoder counts and misfit."""
 
 import dataclasses
 
@@ -22,7 +22,7 @@ def plain() -> LinearisedFit:
 
 
 def misfit(fit: LinearisedFit) -> np.ndarray:
-    """Twice the noise: friction that grows with torque, a ripple on one flank, once per output turn [rad]."""
+    """Misfit of twice the noise [rad]: load-dependent friction and a ripple on one flank."""
     s = fit.signals
     friction = np.tanh(s.speed / 3.0) * (4.0 + 0.1 * np.abs(s.torque))
     return ARCSEC * (friction + 5.0 * np.cos(2.0 * s.wave_generator_angle) * (s.torque > 0.0))
@@ -35,7 +35,7 @@ def test_noise_of_any_colour_beside_any_misfit(plain: LinearisedFit, family: str
     found = plain.data.noise_of(own + wrong * misfit(plain))
     assert found.repeated
     assert found.rms == pytest.approx(float(own.std()), rel=0.1)
-    assert found.low <= found.rms <= found.high < 1.4 * found.low  # 6 % either way beside its scatter
+    assert found.low <= found.rms <= found.high < 1.4 * found.low  # ±6 % in addition to its scatter
 
 
 @pytest.mark.parametrize(("output_bits", "input_bits"), [(19, 17), (17, 12), (15, 14), (12, 19)])
@@ -55,7 +55,7 @@ def test_counts_of_encoders(plain: LinearisedFit, output_bits: int, input_bits: 
 
 @pytest.mark.parametrize("family", noise.FAMILIES)
 def test_a_motion_that_never_comes_back_tells_bounds(family: str) -> None:
-    """The lower one is white noise; slow misfit, as large as the noise, is not in the upper one."""
+    """The lower bound is white noise; the upper one excludes slow misfit as large as the noise."""
     time = np.arange(0.0, 60.0, 2e-3)
     own = noise.FAMILIES[family](np.random.default_rng(0), time.size)
     slow = float(own.std()) * np.sqrt(2.0) * np.cos(0.1 * np.pi * time)
@@ -75,7 +75,7 @@ def test_what_an_unmeasured_torque_does_is_no_noise() -> None:
 
 
 def test_misfit_that_changes_at_once_leaves_covariances_that_noise_can_have() -> None:
-    """Misfit three times the noise, other in every pass, gone after some samples: the noise stays white."""
+    """Misfit of three times the noise, different in every pass and short-lived: the noise stays white."""
     rng, count = np.random.default_rng(4), 40_000
     quick = np.convolve(rng.standard_normal(count + 4), np.full(5, 5.0**-0.5), "valid")
     residual = ARCSEC * (2.0 * rng.standard_normal(count) + 6.0 * quick)
@@ -90,7 +90,7 @@ def test_misfit_that_changes_at_once_leaves_covariances_that_noise_can_have() ->
 
 @pytest.mark.parametrize(("off", "vague"), [(0.0, False), (20.0, True)])
 def test_where_passes_disagree_the_noise_is_vague(off: float, vague: bool) -> None:
-    """A second that is off, by misfit or slow noise: all from neighbours' differences to it may be noise."""
+    """One second is off, by misfit or slow noise: the noise lies between neighbours' scatter and that."""
     rng, size = np.random.default_rng(0), 4000
     time, residual = np.arange(size) / 200.0, rng.standard_normal(size)
     residual[:200] += off
@@ -110,7 +110,7 @@ def test_passes_too_short_for_a_colour_say_white() -> None:
 
 
 def test_what_all_rows_show_of_the_noise_is_known_on_some(plain: LinearisedFit) -> None:
-    """A tenth of the rows hardly ever passes a state again: alone they take the misfit for noise."""
+    """A tenth of the rows hardly repeats a state: alone these rows take the misfit for noise."""
     own = ARCSEC * np.random.default_rng(4).standard_normal(plain.residual.size)
     measured = own + misfit(plain)
     known = plain.data.passes(measured)
@@ -122,7 +122,7 @@ def test_what_all_rows_show_of_the_noise_is_known_on_some(plain: LinearisedFit) 
     told = dataclasses.replace(plain.data, known=known).on(some)
     assert told.passes(part) is known
     assert told.whitening_of(part, np.empty((part.size, 0))).scale == whitening_of(known.covariance).scale
-    # What fits better says more of the noise; what fits worse takes nothing back.
+    # A better fit updates the noise; a worse fit leaves it unchanged.
     assert dataclasses.replace(plain.data, known=known).passes(own + 3.0 * misfit(plain)) is known
     better = dataclasses.replace(plain.data, known=known._replace(rms=2.0 * known.rms)).passes(measured)
     assert better.rms == known.rms

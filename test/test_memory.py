@@ -1,4 +1,4 @@
-"""What the node and a replay may take: 250 and 300 MB, of which small cases take a known part."""
+"""Memory limits: 250 MB for the node, 300 MB for a replay; small cases take a known part."""
 
 import errno
 import os
@@ -19,7 +19,7 @@ from hd_diag.memory import give_back, is_memory, map_large_arrays
 from hd_diag.replay.preparation import changed_since
 
 SEVEN: dict = {"joints": [f"joint_{k}" for k in range(1, 8)]}
-"""Seven drives whose maps repeat nowhere and that share none."""
+"""Seven drives whose maps never repeat and have nothing in common."""
 SEVEN |= {f"joint_{k}.eccentricity.magnitude": 1e-6 * k for k in range(1, 8)}
 SEVEN |= {f"joint_{k}.runout.magnitude": 4e-6 for k in range(1, 8)}
 
@@ -43,7 +43,7 @@ def python(code: str, words: str = "", **how) -> list[str]:
 
 
 def replay(folder: Path, seconds: int, given: dict) -> float:
-    """Most memory that a replay of joints at 1 kHz takes [MB]; it imports neither fits nor scipy.linalg."""
+    """Peak memory of a 1 kHz replay of joints [MB]; it imports neither fits nor scipy.linalg."""
     config, size = resolve(given), 1000 * seconds
     names = [name for joint in config.joints for name in (joint.input_joint, joint.output_joint)]
     block, stamps = rows(size, names=names)
@@ -61,7 +61,7 @@ def test_replay_of_a_joint(tmp_path: Path) -> None:
 
 @pytest.mark.slow  # 8 s: a whole diagnosis
 def test_a_diagnosis_without_a_search(tmp_path: Path) -> None:
-    """Of 20 s at 500 Hz. What compiling took is given back before it: else 340 MB."""
+    """For 20 s at 500 Hz. Memory of the compilation is released before; otherwise it takes 340 MB."""
     python(VERB, "simulate --duration 20 --eccentricity-um 10 --out a.mcap", cwd=tmp_path)
     found = python(VERB, "diagnose a.mcap --time-limit 0", cwd=tmp_path)[-1]
     assert int(found) * 1.024e-3 < 300
@@ -81,7 +81,7 @@ def test_a_node_with_seven_drives_that_share_no_map(tmp_path: Path) -> None:
 
 
 def test_a_kernel_that_changed_is_compiled_apart_too(tmp_path: Path) -> None:
-    """The node compiled it itself where an update left the one whose machine code is looked at."""
+    """A kernel counts as changed if any kernel's source is newer than its machine code."""
     own, kept = SimpleNamespace(__qualname__="read_1"), SimpleNamespace(cache_path=str(tmp_path))
     kernel = SimpleNamespace(py_func=own, stats=kept)
     (tmp_path / "k.read_1-9.py312.nbi").touch()
@@ -104,7 +104,7 @@ print({each.py_func.__qualname__ for each in used ^ {*entry_points()}})
 
 
 def test_all_that_the_node_compiles_is_looked_for_before() -> None:
-    """A diagnosis on a machine before its first node left some there: the node then compiled the others."""
+    """After a diagnosis on a fresh machine only some were compiled, and the node then compiled the others."""
     assert python(COMPILED) == ["set()"]
 
 
@@ -126,7 +126,7 @@ print(numba.njit(lambda x: x + 2)(1))
 
 
 def test_what_llvm_reads_from_its_file_is_given_back() -> None:
-    """All but its tables of addresses, which are not as in the file; it works on."""
+    """Everything except its address tables, which differ from the file; LLVM still works."""
     before, after, result = map(int, " ".join(python(GIVEN_BACK)).split())
     assert (before > 20_000, after < 4_000, result) == (True, True, 3)  # [kB]
 
@@ -156,7 +156,7 @@ print(resident() - before)
 
 
 def test_large_arrays_are_given_back_when_they_are_freed() -> None:
-    """Seven of eight of 8 MiB each; without, one that is in use behind them keeps all."""
+    """Seven of eight arrays of 8 MiB; without mapping, one array in use behind them holds all."""
     mapped, usual = (int(python(FREED.format(mapped=mapped))[0]) for mapped in (True, False))
     assert mapped < 10_000 < 60_000 < usual  # [kB]
 
@@ -168,18 +168,18 @@ OTHERS = [OSError(errno.ENOENT, "no such file"), ImportError("No module named 'x
 
 @pytest.mark.parametrize(("error", "is_so"), [*((e, True) for e in LACKS), *((e, False) for e in OTHERS)])
 def test_a_lack_of_memory_is_known_in_all_its_forms(error: Exception, is_so: bool) -> None:
-    """Also where it is the cause of another error, as of an import that fails."""
+    """Also as the cause of another error, for example a failed import."""
     wrapped = ImportError("numpy's own words")
     wrapped.__cause__ = error
     assert (is_memory(error), is_memory(wrapped)) == (is_so, is_so)
-    one, other = ValueError("one"), ValueError("other")  # each was raised again while the other was handled
+    one, other = ValueError("one"), ValueError("other")  # each was raised while the other was handled
     one.__context__, other.__context__ = other, one
     assert not is_memory(one)
 
 
 @pytest.mark.parametrize("ended", ["os._exit(1)", "os._exit(127)", "os.abort()"])
 def test_a_library_out_of_memory_is_one_line(ended: str) -> None:
-    """Its own words are not shown: OpenBLAS leaves with 1 and three lines, the loader with 127."""
+    """The library's own text is hidden: OpenBLAS exits with 1 and three lines, the loader with 127."""
     code = f"from hd_diag.memory import watch_limit; import os; watch_limit(); os.write(2, b'words'); {ended}"
     said = "hd-diag: there is not enough memory: ulimit -v is 20000000 kB\n"
     assert limited(20_000_000, "-c", code) == (2, "", said)
@@ -194,7 +194,7 @@ def test_what_ends_of_itself_below_a_limit_ends_as_without() -> None:
 
 @pytest.mark.parametrize("limit", [60_000, 150_000, 300_000, 400_000])
 def test_a_limit_of_memory_ends_in_a_result_or_one_line(limit: int, tmp_path: Path) -> None:
-    """Address space [kB], too small for OpenBLAS, for numba, for what is read."""
+    """Address space [kB] too small for OpenBLAS, for numba, or for the data."""
     file = tmp_path / "a.csv"
     file.write_text("t,x,y\n" + "".join(f"{0.01 * k},{k % 700},{k % 700 / 100}\n" for k in range(9000)))
     code, shown, said = limited(limit, "-m", "hd_diag", "topics", str(file))

@@ -1,4 +1,4 @@
-"""Files of extended models: what is written is read, and nothing else."""
+"""Files of extended models: the reader accepts exactly what the writer writes."""
 
 import functools
 import json
@@ -35,7 +35,7 @@ def refused(text: str) -> str:
 
 
 def changed(path: str, value: Any) -> str:
-    """The file with one value changed, or taken out (...); a path of keys and indices."""
+    """File with one value changed, or removed (...); the path has keys and indices."""
     document = json.loads(WHOLE)
     *way, last = (int(key) if key.isdigit() else key for key in path.split("/"))
     place = functools.reduce(operator.getitem, way, document)
@@ -102,7 +102,7 @@ SECRET = "hunter2"
     ],
 )
 def test_who_may_not_read_a_file_is_told_nothing_of_what_it_holds(text: str) -> None:
-    """A parameter of the node may name any file that the node can read; the owner is told all."""
+    """A node parameter may name any file that the node can read; only the owner sees its contents."""
     given = {"joint_1.model_file": "/etc/\nshadow"}
     with pytest.raises(ContentError) as caught:
         resolve(given, lambda joint, path: text)
@@ -126,7 +126,7 @@ def test_who_may_not_read_a_file_is_told_nothing_of_what_it_holds(text: str) -> 
 def test_another_joint_is_refused(name: str, value: Any) -> None:
     with pytest.raises(ConfigError, match=rf"was fitted to a joint with another {name}; this one has"):
         model_for(WHOLE, own() | {name: value})
-    assert model_for(WHOLE, own() | REFIT) == model_for(WHOLE, own())  # as it was fitted
+    assert model_for(WHOLE, own() | REFIT) == model_for(WHOLE, own())  # as fitted
 
 
 def test_the_hash_is_of_the_whole_base() -> None:
@@ -235,7 +235,7 @@ LEAVES = [None, True, "", "x" * 500, "hysteresis", -1, 0, 1e308, 10**30, "[]", "
     st.lists(st.tuples(st.integers(0, 2**32), st.sampled_from(LEAVES), st.booleans()), min_size=1, max_size=3)
 )
 def test_spoiled_files_give_one_line_or_a_model(spoiling: list[tuple[int, Any, bool]]) -> None:
-    """Things anywhere in it are replaced, or stand beside it under another name."""
+    """Values anywhere in the file are replaced, or added under another name."""
     document = json.loads(WHOLE)
     for number, value, beside in spoiling:
         place, key, here = document, "schema", document

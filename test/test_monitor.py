@@ -1,4 +1,4 @@
-"""All joints while they run: what they publish, and what cannot be used."""
+"""All joints while they run: their publications, and unusable samples."""
 
 import numpy as np
 import pytest
@@ -53,7 +53,7 @@ def test_four_joints_at_a_time_take_turns_with_their_arrays() -> None:
     for i in range(200):
         published = run(monitor, states(names, [START + i * MS], np.zeros((1, 8))))
         at_once.append(sum(p.topic.endswith("load") for p in published))
-    assert at_once[0] == 8  # the first message begins a period for all
+    assert at_once[0] == 8  # the first message begins a period for all joints
     assert {*at_once[1:]} == {0, 4}
     assert at_once[1:].count(4) in (7, 8)
 
@@ -81,7 +81,7 @@ def test_a_map_is_used_from_the_next_sample_on_and_only_while_its_mesh_is() -> N
 
 
 def test_drives_side_by_side_give_each_its_own_error_to_the_last_bit() -> None:
-    """By a map, beyond it and without one, the output at either member; many messages at once and apart."""
+    """With and beyond a map, without one, output at either member; messages together or one at a time."""
     other = {"c__ratio": -101.0, "c__output": "circular_spline", "c__wave_generator_phase": 0.4}
     monitor = Monitor(config("a", "b", "c", a__cup_compliance=1e-5, **other))
     given = monitor.config.joints

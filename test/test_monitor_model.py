@@ -1,4 +1,4 @@
-"""Joints that run by an extended model: live, replayed and fitted alike; their diagnostics."""
+"""Joints with an extended model: live, replayed and fitted alike; their diagnostics."""
 
 import dataclasses
 import json
@@ -53,7 +53,7 @@ def light(tmp_path: Path) -> Config:
 
 
 def columns(velocity: bool = False, model: ExtendedModel | None = None) -> JointStates:
-    """Messages of a moving joint; its output is as a model predicts it."""
+    """Messages of a moving joint whose output follows a model's prediction."""
     seconds = (STAMPS - START) * 1e-9
     error = 1e-4 * np.cos(2.0 * ANGLE)
     if model is not None:
@@ -85,7 +85,7 @@ def test_predictions_are_the_models(modelled: Config, velocity: bool) -> None:
 
 
 def test_a_model_restarts_with_the_stream_and_changes_at_once(modelled: Config, tmp_path: Path) -> None:
-    """After a clock that was set back the same messages give the same again."""
+    """After the clock is set back, the same messages give the same result."""
     messages, monitor = columns().between(0, 200), Monitor(modelled)
     first = errors(monitor, messages)
     again = messages._replace(stamp=messages.stamp - 3600 * 10**9)
@@ -96,7 +96,7 @@ def test_a_model_restarts_with_the_stream_and_changes_at_once(modelled: Config, 
 
 
 def test_outputs_that_come_apart_have_a_stream_of_their_own(modelled: Config) -> None:
-    """Their predictions are the model's along the outputs' stamps, whatever the inputs in between."""
+    """Predictions follow the model along the outputs' stamps, whatever inputs come in between."""
     monitor, model, published = Monitor(modelled), modelled.joints[0].model, []
     for i in range(0, COUNT, 2):
         if i:
@@ -126,7 +126,7 @@ def events(log: Path) -> list[dict]:
 
 @pytest.mark.parametrize("mapped", [False, True], ids=["exact", "map"])
 def test_live_replay_and_fit_agree(modelled: Config, model_path: Path, tmp_path: Path, mapped: bool) -> None:
-    """Bit for bit from the log, though the model's file is gone; to 1e-9 rad with the fit's evaluation."""
+    """Bit for bit from the log, even without the model's file; to 1e-9 rad with the fit's evaluation."""
     log = Log(tmp_path / "live.mcap")
     session = Session(modelled, log)
     session.start(next(log.clock))
@@ -169,7 +169,7 @@ def test_a_model_that_changes_while_it_runs_is_replayed(modelled, model_path: Pa
 
 
 def test_a_log_without_its_model_is_refused(modelled: Config, model_path: Path, tmp_path: Path) -> None:
-    """Whatever lies at the path now is not what ran."""
+    """A file at the same path is not the model that ran."""
     log = Log(tmp_path / "live.mcap")
     stripped = dataclasses.replace(modelled.joints[0], model=None, model_text="")
     session = Session(dataclasses.replace(modelled, joints=(stripped,)), log)
@@ -212,7 +212,7 @@ def test_outside_its_range_the_diagnostics_say_so(change, heat, text, tmp_path: 
 
 
 def grown(model: ExtendedModel, count, order, amplitude, frame="input") -> JointStates:
-    """Messages of a joint that is as the model says, but for one order."""
+    """Messages of a joint that follows the model except for one order."""
     time = 2e-3 * np.arange(count)
     angle, torque = 40.0 * time, 20.0 * np.sin(1.1 * time)
     error, _ = model.step(model.start(), time, angle, None, torque)
@@ -241,7 +241,7 @@ def test_as_fitted_no_order_has_grown(light: Config) -> None:
 
 
 def test_without_a_model_an_order_that_repeats_is_named_too() -> None:
-    """But not the output's own: a torque that goes with the link's angle has it. A new drive begins anew."""
+    """Except for the output's own order, which a gravity torque has, too. A new drive starts over."""
     nominal = ExtendedModel(config().joints[0].drive, (), 0.0, RANGES)
     monitor = Monitor(config())
     status = told(monitor, grown(nominal, 4500, 2.0, 20.0 * ARCSEC))

@@ -1,4 +1,4 @@
-"""Torque by a motor's current: what the motor takes of it is fitted with the parameters, then left out."""
+"""Torque from motor current: the motor's own torque is fitted with the parameters, then subtracted."""
 
 import dataclasses
 
@@ -21,7 +21,7 @@ from hd_diag.effects import CATALOGUE
 
 
 def by_current() -> Record:
-    """Amperes by a constant that is 15 % too small, with dry, loaded and viscous friction and inertia."""
+    """Current times a constant 15 % too small, with dry, load-dependent and viscous friction and inertia."""
     record = swinging()
     speed = np.gradient(record.input_angle, record.time)
     dry = (5.0 + 0.08 * np.abs(record.torque)) * np.tanh(speed / 0.6)
@@ -39,7 +39,7 @@ def found() -> tuple[LinearisedFit, Refit]:
 
 
 def off(torque: np.ndarray) -> float:
-    """Rms by which a torque is not in proportion to the link's, which the stiffness leaves open [N m]."""
+    """Rms [N m] of a torque's deviation from the link's torque times a factor, open by stiffness."""
     link = swinging().torque
     return float(np.std(torque - link * (link @ torque) / (link @ link)))
 
@@ -57,7 +57,7 @@ def test_the_torque_that_is_left_is_the_link_s(found: tuple[LinearisedFit, Refit
 
 
 def test_the_same_model_about_either_torque(found: tuple[LinearisedFit, Refit]) -> None:
-    """What the motor takes is off the record's torque, or a present effect: the error is the same."""
+    """The motor's own torque is either subtracted from the record or a present effect: same error."""
     fit, _ = found
     source = fit.data.source
     reported = dataclasses.replace(source, torque=source.by_sensor, taken=None)
@@ -74,7 +74,7 @@ def test_the_same_model_about_either_torque(found: tuple[LinearisedFit, Refit]) 
 
 
 def test_a_step_that_leads_away_is_not_taken(found: tuple[LinearisedFit, Refit]) -> None:
-    """From far off, whole steps of parameters and friction together would only meet by chance."""
+    """From far away, full steps of parameters and friction together reach the minimum only by chance."""
     fit, _ = found
     given = fit.data.given
     far = fit.moved(fit.parameters + np.array([6.0, -6.0, 0.0, 3.0, 14.0, 0.0, 0.0])).with_noise(given)
@@ -87,7 +87,7 @@ def test_a_step_that_leads_away_is_not_taken(found: tuple[LinearisedFit, Refit])
 
 
 def test_what_a_motor_takes_is_looked_for_from_nothing_as_well(found: tuple[LinearisedFit, Refit]) -> None:
-    """It has several minima: where a search would end that begins at a poor one, it does not end now."""
+    """Several minima exist: the search also starts without motor torque, so a poor start is no trap."""
     fit = found[0].with_noise(found[0].data.given)
     ((item, _),) = fit.present
     poor = fit.beside(((item, np.array([-0.5, 0.0, 0.3, 10.0, -5.0])),))

@@ -1,4 +1,4 @@
-"""How a cause is named: which known causes hold the probability, and what speaks against a name."""
+"""Naming of a cause: the class that holds the probability, and doubts about a name."""
 
 import math
 import re
@@ -22,7 +22,7 @@ def standing(
 
 
 names = st.sampled_from([*sorted(KNOWN), "creep", "rests", ""])
-SHARE = math.log((1.0 - CLASS_SHARE) / CLASS_SHARE)  # of a lesser cause whose better one alone is just enough
+SHARE = math.log((1.0 - CLASS_SHARE) / CLASS_SHARE)  # log odds at which the better cause just suffices
 
 
 @given(st.dictionaries(names, st.floats(-900.0, 900.0) | st.floats(-6.0, 6.0), min_size=1))
@@ -75,7 +75,7 @@ ASKED = "arcsec rms, and 0.50 arcsec for certain are asked for"
     ],
 )
 def test_the_first_doubt_is_told(made: Standing, doubt: str) -> None:
-    """Not weighed, not probable, too small for certain, too many: each hides those after it."""
+    """Not weighed, not probable, too small to be certain, too many: each doubt hides the later ones."""
     assert re.fullmatch(doubt, made.doubt)
 
 

@@ -1,4 +1,4 @@
-"""The node in a process of its own, over DDS, as a robot meets it."""
+"""The node in a process of its own, over DDS, as on a robot."""
 
 import itertools
 import json
@@ -46,7 +46,7 @@ REFUSED += [({"nonsense": 1.0}, "unknown parameter 'nonsense', and none that is 
 
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    """A node with two joints; its tests share its time, which only goes forward."""
+    """A node with two joints; its tests share one time, which only advances."""
     folder = tmp_path_factory.mktemp("arm")
     given = with_log(folder / "log", *JOINTS, overwrite=True)
     with running(folder, given | {"mesh_rate": 10.0}) as rig:
@@ -63,18 +63,18 @@ stamps = itertools.count(START, MS)
 
 
 def predictions(rig: Rig, begin: int = 0) -> Callable[[], list[JointState]]:
-    """Those heard from now on; with stamps from one on [ns]: what came of samples before may arrive late."""
+    """Predictions heard from now on with stamps from ``begin`` [ns]; earlier samples' may arrive late."""
     (found,) = rig.hear({"hd_diag/transmission_error": JointState}).values()
     return lambda: [message for message in found if stamp_of(message) >= begin]
 
 
 def exact(angle: float, torque: float, **given: Any) -> float:
-    """The error of the elbow, which without other parameters is the shoulder's, too."""
+    """Exact error [rad] of the elbow; without other parameters it is also the shoulder's."""
     drive = config(*JOINTS, **given).joints[1].drive
     return float(transmission_error(drive, np.array([angle]), np.array([torque]))[0])
 
 
-BOUND = 1e-7  # the maps' aim is 0.01 arcsec, 5e-8 rad
+BOUND = 1e-7  # the maps aim at 0.01 arcsec, 5e-8 rad
 
 
 def test_all_topics_with_their_types_and_content(arm: Rig, publisher: Any) -> None:
@@ -86,7 +86,7 @@ def test_all_topics_with_their_types_and_content(arm: Rig, publisher: Any) -> No
         kinds[f"hd_diag/{joint}/mesh"] = MarkerArray
     found = arm.hear(kinds)
     for _ in range(1000):
-        next(stamps)  # a period of every rate begins
+        next(stamps)  # a new period of every rate begins
     stamp, angle, torque = next(stamps), 0.7, 30.0
     position = {"elbow_motor": angle, "elbow": 0.02, "shoulder_motor": -1.0, "shoulder": 0.1}
     publisher.publish(message(stamp, position, {"elbow": torque}))
@@ -137,7 +137,7 @@ def test_a_second_publisher_of_a_joint_is_a_warning_until_it_goes(arm: Rig, publ
 
 
 def test_temperature_and_an_unreadable_one_of_another_joint(arm: Rig, publisher: Any) -> None:
-    """The node listens with best effort: what is published before it knows the sensor is lost."""
+    """The node listens with best effort: it misses messages sent before it discovers the sensor."""
     sensor = arm.publisher("elbow/temperature", Temperature)
 
     def reported() -> bool:
@@ -158,7 +158,7 @@ def kilobytes(rig: Rig, what: str) -> int:
 
 
 def test_maps_come_into_force_and_it_is_light(arm: Rig) -> None:
-    """With its maps, before much has come; LLVM alone takes 110 MB, an empty rclpy node 70."""
+    """With its maps, before many messages; LLVM alone takes 110 MB, an empty rclpy node 70."""
     for joint in JOINTS:
         values = arm.values(joint, lambda values: values["prediction"] == "map")
         assert 0.0 < float(values["prediction_error_bound_arcsec"]) < 0.02
@@ -224,7 +224,7 @@ def test_memory_is_bounded_where_large_messages_wait(tmp_path: Path) -> None:
 
 
 def test_every_number_can_be_set(arm: Rig) -> None:
-    """Each parameter to a value that it can have, and back; an integer does for a number."""
+    """Set each parameter to another possible value and back; an integer is accepted as a number."""
     flat = dict(config(*JOINTS, **QUICK, mesh_rate=10.0).flat)
     coupled = ("shoulder.", "ratio", "teeth", "neutral_curve", "circular_spline", "flexspline_tooth")
     coupled += ("gear.", ".input.", "_signal.", "log.")  # a whole page; read when the node starts
@@ -252,7 +252,7 @@ def test_a_bad_value_is_refused_with_its_reason_and_changes_nothing(arm: Rig, gi
 
 
 def test_requests_that_make_no_sense_are_survived(arm: Rig) -> None:
-    """A type that does not exist, at which rclpy's own service raises and gives no answer, and a removal."""
+    """A type that does not exist, on which rclpy's own service raises without an answer, and a removal."""
     wrong = {"parameters": [ParameterMessage(name="elbow.torque", value=ParameterValue(type=42))]}
     for name in ("set_parameters", "set_parameters_atomically"):
         kind = SetParameters if name == "set_parameters" else SetParametersAtomically
@@ -343,7 +343,7 @@ def test_a_change_acts_on_the_next_sample_without_loss(arm: Rig, publisher: Any)
 
 
 def test_rates_act_at_once(arm: Rig) -> None:
-    """Of 100 reports a second some come late on a busy machine; of 20 not half come within 30 ms."""
+    """Of 100 reports per second some are late on a busy machine; of 20, fewer than half come within 30 ms."""
 
     def quick() -> bool:
         times = [stamp_of(report) for report in arm.reports[-20:]]
@@ -356,14 +356,14 @@ def test_rates_act_at_once(arm: Rig) -> None:
 
 
 def test_log_holds_everything_and_replays(arm: Rig) -> None:
-    """Of all that came before: every kind of message and every change of a parameter."""
+    """The log has all of the above: every kind of message and every change of a parameter."""
     assert arm.process.end() == 0
     live = replayed(arm.folder / "log")  # type: ignore[attr-defined]
     assert len(live[f"{arm.process.namespace}/hd_diag/transmission_error"]) >= 1000
 
 
 def test_a_best_effort_publisher_that_appears_later(tmp_path: Path) -> None:
-    """Under remapped names, which its log has too; files that hold nothing for the node are named."""
+    """It works under remapped names, also in its log; files without parameters for the node are named."""
     other, empty, log = (tmp_path / name for name in ("other.yaml", "empty.yaml", "log.mcap"))
     other.write_text("{hd_dag: {ros__parameters: {}}, hd_diag: {ros__parameters: {}}}")
     empty.touch()
@@ -392,7 +392,7 @@ def test_a_best_effort_publisher_that_appears_later(tmp_path: Path) -> None:
 
 
 def test_a_configuration_is_read_whatever_the_namespace_and_the_name(tmp_path: Path) -> None:
-    """A word of the command line still wins, and what is said of the file names the file."""
+    """A command-line argument still takes precedence, and messages about the file name the file."""
     given = parameters("elbow", **QUICK, elbow__torque=3.0) | {"use_sim_time": True}
     more = ("-r", "hd_diag:__node:=watcher", "-p", "elbow.gear.size:=0.0", "-p", "diagnostics_rate:=10.0")
     with running(tmp_path, given, *more, by_config=True) as rig:
@@ -409,7 +409,7 @@ def test_a_configuration_is_read_whatever_the_namespace_and_the_name(tmp_path: P
 
 
 def test_simulated_time_that_jumps_back(tmp_path: Path) -> None:
-    """A bag that is played again and again, then a loop of half a second, which only the clock shows."""
+    """A bag played repeatedly, then a loop of half a second, which only the clock shows."""
     log = tmp_path / "log.mcap"
     with running(tmp_path, with_log(log) | {"use_sim_time": True, "joint_1.torque": 1}) as rig:
         clock, source = rig.publisher("clock", Clock), rig.publisher()
@@ -434,7 +434,7 @@ def test_simulated_time_that_jumps_back(tmp_path: Path) -> None:
 
 
 def assert_log_is_whole(path: Path, namespace: str, least: int) -> None:
-    """Both independent readers read it with types, and nothing was rejected."""
+    """Two independent readers read the log with its types, and nothing was rejected."""
     assert whole(path)
     with AnyReader([path]) as reader:
         for connection, _, data in reader.messages():
@@ -453,9 +453,9 @@ def assert_log_is_whole(path: Path, namespace: str, least: int) -> None:
 
 
 def test_signals_while_messages_wait(tmp_path: Path) -> None:
-    """What was taken is answered and logged; nothing counts as rejected because the end came.
+    """Messages already taken are answered and logged, and none counts as rejected because of the end.
 
-    Signals that come again while it ends change nothing.
+    Further signals while it ends change nothing.
     """
     with running(tmp_path, with_log(tmp_path / "log.mcap")) as rig:
         source, _ = rig.publisher(), rig.publisher()
@@ -512,7 +512,7 @@ def test_ros_leaves_its_lines_without_colour_where_the_user_wants_none(monkeypat
     [(signal.SIGINT, 0.3, "node"), (signal.SIGTERM, 0.4, "main"), (signal.SIGINT, 1.2, "node")],
 )
 def test_a_signal_while_it_starts_ends_it_with_code_0(number: int, delay: float, entry: str) -> None:
-    """Of ``hd_diag_node`` and of ``hd-diag node``."""
+    """For ``hd_diag_node`` and ``hd-diag node``."""
     code = f"import hd_diag.__main__ as main, hd_diag.ros.stop_signals; print(1, flush=True); main.{entry}()"
     command = [sys.executable, "-c", code, *(["node"] if entry == "main" else [])]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
@@ -538,7 +538,7 @@ print(node.main(["node"], noted))
 
 
 def test_a_signal_while_it_compiles_ends_it_at_once() -> None:
-    """The process that compiles is ended, and the node does not do the same itself."""
+    """The compiling process is ended, and the node does not compile instead."""
     command = [sys.executable, "-c", COMPILING]
     run = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, check=True)
     assert run.stdout.split() == ["0"], run.stdout

@@ -1,4 +1,4 @@
-"""Why a joint has no samples, as the node tells it: over DDS, and the same in a replay of its log."""
+"""Reasons for a joint without samples, as the node reports them over DDS and in a replay of its log."""
 
 import itertools
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Diagnoses that a node begins by itself, over DDS: at a fault, and after so much motion."""
+"""Diagnoses that a node begins by itself, over DDS: at a fault, and after enough motion."""
 
 import itertools
 import os
@@ -16,14 +16,14 @@ from running import Rig, children, feed, running, stamp_of, values_of
 pytestmark = pytest.mark.usefixtures("ros")
 
 NOISE = 1e-3  # of an encoder at rest [rad]
-MOTION = 1.0  # after which the node diagnoses [s]
-AFTER = 1.0  # what a snapshot holds of the time after a fault [s]
-TICK = 0.01  # by which a file may be dated too early: the kernel's clock for files is that coarse [s]
+MOTION = 1.0  # the node diagnoses after this much motion [s]
+AFTER = 1.0  # time after a fault that a snapshot contains [s]
+TICK = 0.01  # a file's time may be this early: the kernel's clock for files is coarse [s]
 PATIENT = {f"joint_1.limits.silence.{level}": 1e6 for level in ("warn", "error")}
 
 
 def states(rig: Rig) -> set[str]:
-    """First words of what was said of a diagnosis up to now."""
+    """First words of all diagnosis states reported so far."""
     rig.drain()
     found = [values_of(status)["diagnosis_state"] for array in rig.reports for status in array.status]
     return {said.partition(" ")[0].rstrip(":") for said in found}
@@ -34,12 +34,12 @@ def reported(rig: Rig, number: int) -> float:
 
 
 def parameter_files(folder: Path) -> list[Path]:
-    """What each diagnosis that was begun has left beside the log."""
+    """Parameter files beside the log, one for each diagnosis that began."""
     return sorted(folder.rglob("*verdict_*.yaml"))
 
 
 def rest(publisher, stamps, seconds: float) -> None:
-    """Publish an input that stands still, as an encoder with noise shows it."""
+    """Publish an input at rest with encoder noise."""
     noise, end = random.Random(1), time.monotonic() + seconds
     while time.monotonic() < end:
         angle = noise.uniform(-NOISE, NOISE)
@@ -48,7 +48,7 @@ def rest(publisher, stamps, seconds: float) -> None:
 
 
 def test_it_diagnoses_after_so_much_motion_and_again(tmp_path: Path) -> None:
-    """Standing still, with an encoder's noise, is no motion. A record that is too short is told."""
+    """Rest with encoder noise is no motion. A record that is too short is reported."""
     with running(tmp_path, with_log(tmp_path / "log") | PATIENT | {"diagnose.every": MOTION}) as rig:
         publisher, stamps = rig.publisher(), itertools.count(START, 10 * MS)
         rest(publisher, stamps, 2.0 * MOTION)
@@ -65,9 +65,9 @@ def test_it_diagnoses_after_so_much_motion_and_again(tmp_path: Path) -> None:
 
 
 def test_it_diagnoses_a_fault_once_with_what_was_before_and_after(tmp_path: Path) -> None:
-    """Only if asked to, which can be changed meanwhile; not before the snapshot has its end.
+    """Only on request, which may change at run time, and not before the snapshot is complete.
 
-    One that comes back is the same, a silence is nothing to diagnose. The node's output has them all.
+    A fault that returns is the same fault; a silence needs no diagnosis. The node's output has all faults.
     """
     log = tmp_path / "log"
     given = with_log(log, mode="snapshot", before=60.0, after=AFTER, topics="inputs")
@@ -79,7 +79,7 @@ def test_it_diagnoses_a_fault_once_with_what_was_before_and_after(tmp_path: Path
             rig.values("joint_1", lambda values: (code in values["fault_codes"]) == comes)
 
         def fault(code: str, sent: int, **cause: float) -> float:
-            """One that begins after so many samples; when the node first told it [s since 1970]."""
+            """Cause a fault after ``sent`` samples; returns when it was first reported [s since 1970]."""
             feed(publisher, stamps, sent, 100.0)
             seen = len(rig.reports)
             change(code, True, **cause)
@@ -102,7 +102,7 @@ def test_it_diagnoses_a_fault_once_with_what_was_before_and_after(tmp_path: Path
         (child,) = rig.until(lambda: children(rig.process.popen.pid, b"diagnose"), "process")
         os.kill(child, signal.SIGKILL)
         rig.values("joint_1", lambda values: values["diagnosis_state"] == "failed: was ended by SIGKILL")
-        feed(publisher, stamps, 50, 100.0)  # the fault goes on
+        feed(publisher, stamps, 50, 100.0)  # the fault continues
         assert "OUT_OF_RANGE" in rig.values("joint_1")["fault_codes"]
         (begun,) = (file.stat().st_mtime for file in parameter_files(tmp_path))
         assert begun - begin > AFTER - TICK
@@ -122,11 +122,11 @@ def test_it_diagnoses_a_fault_once_with_what_was_before_and_after(tmp_path: Path
             assert any(line.startswith(f"[{level}]") and f": joint_1: {code}" in line for line in said)
     (file,) = parameter_files(tmp_path)
     held = len(content(file.parent)[f"{rig.process.namespace}/joint_states"])
-    assert held == 180 or (not were_in_time and 150 <= held < 180)  # a busy machine may be late with the last
+    assert held == 180 or (not were_in_time and 150 <= held < 180)  # the last may be late on a busy machine
 
 
 def test_a_fault_that_begins_beside_a_diagnosis_has_the_next(tmp_path: Path) -> None:
-    """It ends with the node, also where that is killed."""
+    """The diagnosis ends with the node, also if the node is killed."""
     given = with_log(tmp_path / "log", mode="snapshot", after=0.1, topics="inputs")
     with running(tmp_path, given | PATIENT | {"diagnose.on_fault": True}) as rig:
         publisher, stamps, pid = rig.publisher(), itertools.count(START, 10 * MS), rig.process.popen.pid
@@ -145,4 +145,4 @@ def test_a_fault_that_begins_beside_a_diagnosis_has_the_next(tmp_path: Path) -> 
         rig.process.end(signal.SIGKILL)
     wait_for(lambda: not alive(child))
     last = parameter_files(tmp_path)[-1].with_suffix(".txt")
-    assert last.read_text().strip() in ("", "hd-diag: interrupted")  # it has not come to its end
+    assert last.read_text().strip() in ("", "hd-diag: interrupted")  # stopped before its end

@@ -1,4 +1,4 @@
-"""What a node's console says of faults that begin, go on, come back, get worse, and end."""
+"""Messages on a node's console for faults that begin, continue, return, get worse and end."""
 
 from types import SimpleNamespace
 
@@ -16,7 +16,7 @@ def test_the_console_is_told_what_changes_and_not_what_flickers(monkeypatch: pyt
     console = Console(SimpleNamespace(**told))
 
     def report(level: int, code: str, seconds: float = 1.0) -> list[tuple[str, str]]:
-        """What is said of a report, and the time that passes after it [s]."""
+        """Messages for a report; afterwards the clock advances by ``seconds``."""
         console.follow([Status("a", level, f"{code} at {level}", {"fault_code": code})])
         now[0] += seconds
         found = said[:]
@@ -25,12 +25,12 @@ def test_the_console_is_told_what_changes_and_not_what_flickers(monkeypatch: pyt
 
     assert report(0, "OK") == []
     assert report(1, "STALE", 100.0) == [("warning", "a: STALE: STALE at 1")]
-    assert report(1, "STALE") == []  # however long it lasts, and however seldom reports come
+    assert report(1, "STALE") == []  # independent of its duration and of the report rate
     assert report(2, "STALE") == [("error", "a: STALE: STALE at 2")]
     for _ in range(100):
         assert [*report(0, "OK", 2.0), *report(1, "STALE", 0.1), *report(2, "STALE", 0.1)] == []
     assert report(1, "RESIDUAL") == [("warning", "a: RESIDUAL: RESIDUAL at 1")]
-    assert report(1, "LOG_FAILED", 4.0) == []  # no joint's own
+    assert report(1, "LOG_FAILED", 4.0) == []  # not a fault of the joint
     assert report(0, "OK", 2.0) == []
     assert report(0, "OK") == [("info", "a: OK, no fault for 5 s")]
     assert report(0, "OK") == []

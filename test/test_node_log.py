@@ -1,4 +1,4 @@
-"""The node's log while it runs: fixed when the node starts, complete, and going on after what goes wrong."""
+"""The node's log while it runs: fixed at the start, complete, and continued after failures."""
 
 import contextlib
 import functools
@@ -22,12 +22,12 @@ from hd_diag.replay.replay import replay
 pytestmark = pytest.mark.usefixtures("ros")
 
 stamps = itertools.count(START, MS)
-well: set[int] = set()  # those of samples that came while the log was well, and must be in it
+well: set[int] = set()  # stamps of samples from times without failure; the log must contain them
 
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    """A node that writes into the folder ``log``; its tests share its time."""
+    """A node that writes into the folder ``log``; its tests share one time."""
     folder = tmp_path_factory.mktemp("logged")
     given = with_log(folder / "log", overwrite=True, flush_period=0.05, sync_period=0.1)
     with running(folder, given) as rig:
@@ -62,14 +62,14 @@ def test_no_other_process_chooses_where_it_writes(rig: Rig, tmp_path: Path) -> N
 
 
 def publish(publisher: Any, count: int) -> list[int]:
-    """Stamps of so many samples that are published [ns]."""
+    """Publish ``count`` samples and return their stamps [ns]."""
     sent = [*itertools.islice(stamps, count)]
     feed(publisher, iter(sent), count)
     return sent
 
 
 def feed_well(rig: Rig, publisher: Any) -> None:
-    """Publish samples while the log is well, until it has their predictions."""
+    """Publish samples while the log works, until it contains their predictions."""
     well.update(publish(publisher, 100))
     rig.until(lambda: well <= {*predicted(rig)}, "predictions in the log")
 
@@ -81,7 +81,7 @@ def deleted(rig: Rig) -> Callable[[], None]:
 
 
 def full(rig: Rig) -> Callable[[], None]:
-    """Files of the node may not be longer than some of them are."""
+    """Limit the size of the node's files below the size of some."""
     limit = functools.partial(resource.prlimit, rig.process.popen.pid, resource.RLIMIT_FSIZE)
     before = limit()
     limit((2000, before[1]))
@@ -92,17 +92,17 @@ def full(rig: Rig) -> Callable[[], None]:
     ("harm", "reason", "number"), [(deleted, "was deleted or moved", 1), (full, "File too large", 2)]
 )
 def test_it_goes_on_in_a_new_file_when_writing_works_again(rig, publisher, harm, reason, number) -> None:
-    """A folder that is deleted, a disk that is full: the node says so, lives on, and logs again by itself.
+    """After a deleted folder or a full disk the node reports it, lives on, and logs again by itself.
 
-    Of what comes meanwhile the end may be logged: the node tries again after a second, and a busy machine may
-    need longer for the samples.
+    The last samples of the failure may be logged: the node tries again after a second, and on a busy machine
+    publishing may take longer.
     """
     assert rig.set(joint_1__runout__magnitude=1e-6)[0].successful
     feed_well(rig, publisher)
     seen, before = len(rig.reports), int(rig.values("joint_1")["log_lost"])
 
     def failure() -> dict[str, str] | None:
-        """Since the harm: a busy machine may have gone on from it while all this was published."""
+        """Search all reports since the harm: the log may have recovered while samples were published."""
         every = (values_of(array.status[0]) for array in rig.reports[seen:])
         return next((values for values in every if "LOG_FAILED" in values["fault_codes"]), None)
 
@@ -122,10 +122,10 @@ def test_it_goes_on_in_a_new_file_when_writing_works_again(rig, publisher, harm,
 
 
 def test_what_it_wrote_is_whole_and_replays(rig: Rig, publisher: Any, tmp_path: Path) -> None:
-    """The files after the first begin with all that the node knew: counters, parameters, the map in force."""
+    """Each later file begins with all that the node knew: counters, parameters, the map in force."""
     rig.values("joint_1", lambda values: values["samples"] == "700")
     assert rig.process.end() == 0
-    assert rig.process.output().count("]: log failed: ") == 2  # a fault of the joint may tell of it too
+    assert rig.process.output().count("]: log failed: ") == 2  # a fault of the joint may report it, too
     with BagReader(log_of(rig)) as reader:
         assert [problem for problem in reader.problems if "log_0.mcap" not in problem] == []
     replay(log_of(rig), tmp_path / "again.mcap")
@@ -135,13 +135,13 @@ def test_what_it_wrote_is_whole_and_replays(rig: Rig, publisher: Any, tmp_path: 
     for topic, logged in live.items():
         both = [message for message in logged if message in again[topic]]
         assert [message for message in again[topic] if message in logged] == both, topic
-        # Where the disk was full the log may end between a cause and what came of it.
+        # With a full disk the log may end between an input and its output.
         assert max(len(logged), len(again[topic])) - len(both) <= 1, topic
     assert len(well) == 300
 
 
 def bytes_of(folder: Path) -> int:
-    """Size of the log's files, without one that is deleted meanwhile."""
+    """Size of the log's files [byte]; a file that is being deleted does not count."""
     size = 0
     for file in folder.rglob("*.mcap"):
         with contextlib.suppress(FileNotFoundError):
@@ -150,9 +150,9 @@ def bytes_of(folder: Path) -> int:
 
 
 def test_a_size_bounds_a_log_of_a_fixed_name_which_the_next_start_replaces(tmp_path: Path) -> None:
-    """A file is cut at a tenth of the size; of the one that is open a flush may be beyond it.
+    """Files are cut at a tenth of the size; the open file may exceed that by one flush.
 
-    What is left replays, without the files that have gone.
+    The remaining files replay without the deleted ones.
     """
     log, most = tmp_path / "arm", 3_000_000
     given = with_log(log, overwrite=True, max_size=most, flush_period=0.05, compression="none")
@@ -166,7 +166,7 @@ def test_a_size_bounds_a_log_of_a_fixed_name_which_the_next_start_replaces(tmp_p
                 sent += publish(publisher, 100)
                 rig.drain()
                 sizes.append(bytes_of(log))
-                if begun is None:  # it goes after the first samples
+                if begun is None:  # the first file is deleted later
                     begun = max(log.glob("*.mcap"), key=lambda file: int(file.stem.rpartition("_")[2]))
             assert max(sizes, default=0) <= most
             sent += publish(publisher, 20)
@@ -184,7 +184,7 @@ def test_a_size_bounds_a_log_of_a_fixed_name_which_the_next_start_replaces(tmp_p
 
 
 def test_a_log_that_cannot_be_hides_no_fault_of_the_joint(tmp_path: Path) -> None:
-    """And a diagnosis says why it has none."""
+    """A diagnosis, too, says why it has no log."""
     with running(tmp_path, with_log("/dev/null/log")) as rig:
         publisher = rig.publisher()
         feed(publisher, stamps, 20)

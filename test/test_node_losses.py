@@ -1,4 +1,4 @@
-"""What does not come to a node in the usual way, over DDS between processes: none is lost in silence."""
+"""Messages that do not reach a node normally, over DDS between processes: each loss is reported."""
 
 import itertools
 import os
@@ -18,7 +18,7 @@ from hd_diag.ros.numbers import Missing
 from hd_diag.ros.subscriptions import INPUT_DEPTH
 
 pytestmark = pytest.mark.usefixtures("ros")
-LATE = 1.0  # wait that is a warning [s]
+LATE = 1.0  # waiting time that causes a warning [s]
 QUICK = {"diagnostics_rate": 10.0}
 
 
@@ -35,9 +35,9 @@ def warned(rig: Rig, said: str) -> bool:
     ("before", "rate", "least"), [pytest.param(0, 1000.0, 0, marks=pytest.mark.slow), (5, 100.0, 100)]
 )
 def test_a_message_without_payload_is_counted_and_skipped(before, rate, least, tmp_path: Path) -> None:
-    """Fast DDS asks for it anew as long as its publisher keeps it, and withholds all that follow.
+    """Fast DDS requests it again while its publisher keeps it, and withholds all later messages.
 
-    Those that come fast are over before this is known: they are counted.
+    Fast messages are over before this is noticed; they are counted as lost.
     """
     stamps, published = itertools.count(START, MS), before + 1 + 600
     with running(tmp_path, parameters(**QUICK)) as rig:
@@ -58,7 +58,7 @@ def test_a_message_without_payload_is_counted_and_skipped(before, rate, least, t
 
 
 def test_one_of_two_publishers_is_held_up(tmp_path: Path) -> None:
-    """The topic is never silent: the joint is."""
+    """The topic is never silent, but the joint is."""
     stamps = itertools.count(START, MS)
     with running(tmp_path, parameters("elbow", "wrist", **QUICK)) as rig:
         held, other = rig.publisher(), rig.publisher()
@@ -86,7 +86,7 @@ def test_one_of_two_publishers_is_held_up(tmp_path: Path) -> None:
 
 
 def test_all_of_a_flood_is_accounted_for_and_said(tmp_path: Path) -> None:
-    """What gives way in DDS, of which it says nothing, is counted; that the node was stopped is a warning."""
+    """Messages that DDS drops silently are counted; the stopped node causes a warning."""
     count, stop, go_on = 14_000, 2000, 11_000
     with running(tmp_path, parameters(**QUICK)) as rig:
         publisher = rig.publisher()
@@ -107,7 +107,7 @@ def test_all_of_a_flood_is_accounted_for_and_said(tmp_path: Path) -> None:
 
 
 def test_what_waits_for_a_node_without_a_core_is_said(tmp_path: Path) -> None:
-    """Its first thread gets what another process leaves of a core, while those of DDS take messages."""
+    """Its first thread gets what another process spares of a core, while DDS threads take messages."""
     count = 1000
     with running(tmp_path, parameters(**QUICK)) as rig:
         publisher, core = rig.publisher(), min(os.sched_getaffinity(0))
@@ -128,12 +128,12 @@ STEPS = st.lists(st.tuples(st.integers(0, 2), st.integers(1, 5)), max_size=60)
 
 @given(STEPS, st.integers(1, 2**40), st.sampled_from((1, 3)))
 def test_what_is_missing_is_counted_by_numbers(steps: list[tuple[int, int]], first: int, count: int) -> None:
-    """Exactly, of one publisher wherever it begins, and of several whose numbers are far apart."""
+    """The count is exact for one publisher from any first number, and for several with distant numbers."""
     missing, last, true = Missing(), [first + 10**6 * which for which in range(count)], 0
     missing.publishers(count)
     for number in last:
         missing.take(number)
-    missing._found -= 10.0  # they were found long ago
+    missing._found -= 10.0  # as if found long ago
     for which, step in steps:
         last[which % count] += step
         true += step - 1
@@ -152,7 +152,7 @@ def missing_after(*numbers: int) -> Missing:
 def test_a_publisher_that_begins_is_no_loss() -> None:
     missing = missing_after(7, 8, 9)
     missing.publishers(2)
-    for number in (300, 10, 301, 1, 2):  # the last two are of one that follows
+    for number in (300, 10, 301, 1, 2):  # the last two are from a successor
         missing.take(number)
     assert missing.count == 0
 
@@ -161,7 +161,7 @@ def test_a_publisher_that_begins_is_no_loss() -> None:
     ("own", "first", "true"), [("", 5000, 21), ("", 2, 21), ("", 40, 59), ("78", 20, 31)]
 )
 def test_what_was_withheld_is_missing(own: str, first: int, true: int) -> None:
-    """One unreadable before the first that is known, or all of a publisher that has just begun."""
+    """An unreadable message before the first known one, or all messages of a new publisher."""
     missing = missing_after(*map(int, own))
     for number in (first, first + 3):
         missing.withheld(number)

@@ -1,4 +1,4 @@
-"""The node with an extended model, in a process of its own: predictions, parameters, log and replay."""
+"""The node with an extended model, in its own process: predictions, parameters, log and replay."""
 
 import os
 import threading
@@ -30,7 +30,7 @@ COUNT = 300
 def test_the_node_predicts_by_the_model_and_its_log_replays(tmp_path: Path) -> None:
     path = write_model(tmp_path / "model.json", *EFFECTS)
     given = with_log(tmp_path / "log", overwrite=True)
-    given["joint_1.model_file"] = "model.json"  # relative to the parameter file, which the node runs far from
+    given["joint_1.model_file"] = "model.json"  # relative to the parameter file, not to the node's folder
     (joint,) = config(joint_1__model_file=str(path)).joints
     with running(tmp_path, given) as rig:
         values = rig.values("joint_1", lambda values: values["prediction"] == "map")
@@ -48,12 +48,12 @@ def test_the_node_predicts_by_the_model_and_its_log_replays(tmp_path: Path) -> N
         expected, _ = model.step(model.start(), moments, angle, None, torque, None, model.torsion_map)
         assert_allclose([m.position[0] for m in errors], expected, rtol=0.0, atol=AGREEMENT)
 
-        # Without the file everything else can still be set; the model itself not.
+        # Without the file everything except the model can still be set.
         path.unlink()
         assert rig.set(joint_1__torque=1.0)[0].successful
         assert "cannot be read" in rig.set(joint_1__model_file="model.json")[0].reason
         assert "was fitted to a joint with another ratio" in rig.set(joint_1__ratio=-100.0)[0].reason
-        # A file that is none is not waited for, and of others' files nothing is told.
+        # The node waits for no pipe, and reveals nothing of other users' files.
         os.mkfifo(tmp_path / "pipe")
         assert "no regular file" in rig.set(joint_1__model_file=str(tmp_path / "pipe"))[0].reason
         (tmp_path / "a\nb").write_text('{"password": "hunter2"}')
@@ -70,7 +70,7 @@ def test_the_node_predicts_by_the_model_and_its_log_replays(tmp_path: Path) -> N
 
 
 def test_a_disk_that_does_not_answer_holds_up_no_samples(tmp_path: Path, monkeypatch) -> None:
-    """The first request alone is waited for; when the disk answers again, files are read again."""
+    """Only the first request waits; once the disk answers, files are read again."""
     answers, asked = threading.Event(), list[str]()
 
     def text(joint: str, path: str) -> str:

@@ -1,4 +1,4 @@
-"""Who publishes what the node takes: numbers of messages, and looks at real publishers."""
+"""Publishers of the node's input: numbers of messages, and looks at real publishers."""
 
 import itertools
 import time
@@ -62,7 +62,7 @@ class Bench:
         return "_hd_diag_look" in self.node.get_node_names()
 
     def until(self, condition: Callable[[list[str]], Any]) -> list[str]:
-        """What is said once a condition holds of it; all publish meanwhile."""
+        """Publish from all until a condition holds for the messages of faults; return these."""
         end = time.monotonic() + LIMIT
         while not condition(said := self.seen.faults(self.joints)):
             assert time.monotonic() < end, said
@@ -90,7 +90,7 @@ def bench() -> Iterator[Bench]:
 
 
 def test_a_joint_with_two_publishers_is_told_until_one_goes(bench: Bench) -> None:
-    """A third publishes another joint: as long as there are several, the next look tells."""
+    """A third one publishes another joint: while there are several, each look reports it."""
     bench.add("left", "elbow")
     bench.add("right", "elbow", "wheel")
     bench.add("third", "wrist_motor", "wheel")
@@ -110,7 +110,7 @@ def test_parts_of_a_joint_and_a_publisher_alone_are_looked_at_and_are_no_fault(b
 
 
 def test_one_that_follows_another_is_no_second(bench: Bench) -> None:
-    """Its numbers begin anew while a look is under way."""
+    """The successor's numbers restart during a look."""
     bench.add("other", "wrist")
     bench.add("first", "elbow")
     bench.until(lambda _: bench.made["first"][1].get_subscription_count() > 1)

@@ -1,4 +1,4 @@
-"""Snapshots and diagnoses beside a running node, by services and by themselves, over DDS."""
+"""Snapshots and diagnoses beside a running node, by services and automatically, over DDS."""
 
 import contextlib
 import itertools
@@ -30,7 +30,7 @@ from hd_diag.bag.recover import recover
 from hd_diag.replay.replay import replay
 
 pytestmark = pytest.mark.usefixtures("ros")
-PATIENCE = 600.0  # for what has the lowest priority, on a machine that does much else [s]
+PATIENCE = 600.0  # for processes of lowest priority on a busy machine [s]
 IDLE = "keeping the last 60 s"
 
 
@@ -57,19 +57,19 @@ def state(rig: Rig, key: str, text: str) -> dict[str, str]:
 
 
 def asked(rig: Rig, service: str, *kind: type, **fields: bool) -> str:
-    """Where what a service is asked for lies."""
+    """Call a service and return the path that it gives."""
     ok, said = rig.call(service, *kind, **fields)
     assert ok, said
     return said
 
 
 def test_a_snapshot_holds_what_was_before_it_and_replays(rig: Rig, player: Player, tmp_path: Path) -> None:
-    """A fault that begins writes one by itself; what comes after begins anew, with all that is known."""
+    """A new fault writes a snapshot; later data start a new one, with everything known."""
     sent = player.play(1.0, 1, ())
     values = rig.values("joint_1", lambda values: int(values["samples"]) >= sent - 50)
     assert values["samples_missed"] == values["messages_lost"] == "0", values
     log: Path = rig.log  # type: ignore[attr-defined]
-    rig.until(log.exists, "snapshot of a fault")  # RESIDUAL, or else STALE
+    rig.until(log.exists, "snapshot of a fault")  # RESIDUAL, otherwise STALE
     state(rig, "log_state", IDLE)
     taken = asked(rig, "snapshot")
     state(rig, "log_state", IDLE)
@@ -83,7 +83,7 @@ def test_a_snapshot_holds_what_was_before_it_and_replays(rig: Rig, player: Playe
         logged, again = content(bag), content(tmp_path / f"{number}.mcap")
         counted += len(logged.get(topic, []))
         assert all(again[name] == logged[name] for name in logged)
-    assert sent - 20 <= counted <= sent  # between a snapshot and the memory's new beginning nothing waits
+    assert sent - 20 <= counted <= sent  # nothing waits between a snapshot and the memory's new beginning
 
 
 def test_a_log_is_begun_and_ended(rig: Rig, player: Player) -> None:
@@ -99,10 +99,10 @@ def test_a_log_is_begun_and_ended(rig: Rig, player: Player) -> None:
 
 
 def test_it_diagnoses_without_losing_a_sample(rig: Rig, player: Player) -> None:
-    """The answer comes at once; one at a time; who subscribes later gets the verdict too."""
+    """It answers at once and runs one at a time; late subscribers get the verdict, too."""
     player.play(2.0, 1, ())
     counts: list[str] = []
-    # A busy node is still taking samples: two reports alike say that it has them all.
+    # A busy node is still taking samples: it has them all when two reports agree.
     before = rig.values("joint_1", lambda v: counts.append(v["samples"]) or counts[-2:-1] == counts[-1:])
     verdict, begin = Path(asked(rig, "diagnose")), time.monotonic()
     ok, busy = rig.call("diagnose")
@@ -118,7 +118,7 @@ def test_it_diagnoses_without_losing_a_sample(rig: Rig, player: Player) -> None:
     expected = ("hd_diag/diagnosis/1", str(verdict.with_suffix(".html")))
     assert (result["schema"], result["report"]) == expected
     assert "<html" in Path(result["report"]).read_text()
-    for each in result["files"]:  # times as in the log
+    for each in result["files"]:  # times equal those in the log
         with BagReader(each["path"]) as reader:
             assert (each["from"], each["to"]) == pytest.approx((reader.start * 1e-9, reader.end * 1e-9))
     assert max(each["to"] for each in result["files"]) == pytest.approx(time.time(), abs=PATIENCE)
@@ -138,7 +138,7 @@ def test_it_diagnoses_without_losing_a_sample(rig: Rig, player: Player) -> None:
 def test_diagnoses_that_are_killed_or_outlived(rig: Rig, player: Player) -> None:
     pid = rig.process.popen.pid
     for number in (signal.SIGKILL, signal.SIGINT):
-        player.play(10.0, 1, ())  # what a diagnosis before has looked at may be older than a snapshot is long
+        player.play(10.0, 1, ())  # an earlier diagnosis may have used data older than a snapshot
         asked(rig, "diagnose")
         state(rig, "diagnosis_state", "diagnoses")
         (child,) = rig.until(lambda: children(pid, b"diagnose"), "process")
@@ -153,7 +153,7 @@ def test_diagnoses_that_are_killed_or_outlived(rig: Rig, player: Player) -> None
 
 @contextlib.contextmanager
 def watching(rig: Rig) -> Iterator[tuple[int, Callable[[str], bool]]]:
-    """`hd-diag watch` in a terminal: where keys are written, and whether it has shown a text."""
+    """`hd-diag watch` in a terminal: file for its keys, and a check for shown text."""
     screen, theirs = pty.openpty()
     verb = [sys.executable, "-m", "hd_diag", "watch", "--namespace", rig.process.namespace]
     process = subprocess.Popen(["setsid", "--ctty", *verb], stdin=theirs, stdout=theirs, stderr=theirs)
@@ -173,7 +173,7 @@ def watching(rig: Rig) -> Iterator[tuple[int, Callable[[str], bool]]]:
 
 
 def test_without_a_log_there_is_no_diagnosis(tmp_path: Path) -> None:
-    """A key of watch asks for one, in a terminal, and shows the answer; motion asks for one."""
+    """A key of watch requests one in a terminal and shows the answer; motion requests one, too."""
     given = parameters(diagnostics_rate=10.0, diagnose__every=0.1)
     with running(tmp_path, given) as rig, watching(rig) as (screen, shows):
         rig.until(lambda: shows("joint_1"), "picture of watch")
@@ -184,7 +184,7 @@ def test_without_a_log_there_is_no_diagnosis(tmp_path: Path) -> None:
 
 
 def taken_in(bag: Path) -> list[int]:
-    """Stamps of the joint states in a bag, or in what there is of it [ns]."""
+    """Stamps [ns] of the joint states in a bag or in its readable part."""
     try:
         states = [found for topic, found in content(bag).items() if topic.endswith("/joint_states")]
     except BagError:
@@ -193,7 +193,7 @@ def taken_in(bag: Path) -> list[int]:
 
 
 def test_of_a_node_that_is_killed_what_is_on_disk_is_read(tmp_path: Path) -> None:
-    """It is what came first, without a gap, and replays; what the memory alone held is lost."""
+    """The disk has the first samples without a gap, and they replay; the rest was only in memory."""
     log, count = tmp_path / "log", 2000
     stamps = range(START, START + count * MS, MS)
     with running(tmp_path, with_log(log, mode="snapshot", before=60.0, after=60.0)) as rig:

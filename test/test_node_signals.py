@@ -1,4 +1,4 @@
-"""The node on messages of other types, as far as they are installed here."""
+"""The node with messages of other types, as far as they are installed."""
 
 import re
 import time
@@ -43,7 +43,7 @@ def stamped(message: Any, number: int) -> Any:
 
 
 def test_signals_of_other_types_live_and_in_the_log(tmp_path: Path) -> None:
-    """An encoder that wraps at 180 degrees, a torque of the other sign; the log replays to the last bit."""
+    """An encoder that wraps at 180 degrees, a torque of opposite sign; the log replays bit for bit."""
     with running(tmp_path, parameters(**{"log.path": str(tmp_path / "log.mcap")})) as rig:
         states, forces = rig.publisher("states", JointTrajectory), rig.publisher("force", WrenchStamped)
         forces.publish(stamped(WrenchStamped(wrench=Wrench(torque=Vector3(z=4.0))), 0))
@@ -54,7 +54,7 @@ def test_signals_of_other_types_live_and_in_the_log(tmp_path: Path) -> None:
             if sent < 99:
                 continue
             values = rig.values("elbow", lambda values, sent=sent: values["samples"] == str(sent))
-            if float(values["torque_Nm"]):  # two topics keep no order: the torque may come after many states
+            if float(values["torque_Nm"]):  # the torque's topic may come after many states
                 break
         assert float(values["input_angle_rad"]) == pytest.approx(sent * 5.0 * 3.14159265 / 180.0, abs=1e-3)
         assert float(values["torque_Nm"]) == -4.0
@@ -102,7 +102,7 @@ def begin(given: Config) -> None:
 
 
 def test_a_clock_as_fast_as_the_samples_costs_none(tmp_path: Path) -> None:
-    """Between two samples stands a message of the clock in DDS, which holds 2000 samples."""
+    """DDS has a clock message between every two samples, and holds 2000 samples."""
     given = live.parameters(use_sim_time=True, diagnostics_rate=10.0)
     with running(tmp_path, given) as rig:
         rig.values("joint_1", lambda values: values["prediction"] == "map")

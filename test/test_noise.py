@@ -1,4 +1,4 @@
-"""Whitening of coloured noise: white after it, and every run on its own."""
+"""Whitening of coloured noise: the result is white, and every run is whitened separately."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def runs(*lengths: int) -> np.ndarray:
 
 
 def test_model_of_known_noise() -> None:
-    """To five standard errors, 1/sqrt(n)."""
+    """Within five standard errors, 1/sqrt(n)."""
     run = runs(10_000, 5_000, 15_000)
     found = whitening(coloured(run.size, 0), run)
     assert_allclose(found.coefficients, [*AR, *np.zeros(ORDER - 2)], atol=5.0 / np.sqrt(run.size))
@@ -76,14 +76,14 @@ def test_columns_are_filtered_like_one_and_no_residual_at_all_is_finite() -> Non
 
 
 def covariance(run: np.ndarray, slow: float, kept: float) -> np.ndarray:
-    """Of white noise of variance one and slow noise beside it, within runs."""
+    """Covariance of white noise with variance one plus slow noise, within runs."""
     apart = np.abs(np.subtract.outer(np.arange(run.size), np.arange(run.size)))
     return np.eye(run.size) + np.where(np.equal.outer(run, run), slow**2 * kept**apart, 0.0)
 
 
 @pytest.mark.parametrize(("slow", "kept"), [(0.0, 0.0), (0.3, 0.9), (5.0, 0.998)])
 def test_slow_noise_is_whitened_exactly(slow: float, kept: float) -> None:
-    """What is whitened has the products, and the determinant, that the dense covariance gives."""
+    """Whitened columns have the products and the determinant of the dense covariance."""
     run = runs(40, 3, 57)
     whiten = Whitening(np.zeros(ORDER), 1.0, slow, kept)
     columns = np.random.default_rng(0).standard_normal((run.size, 3))

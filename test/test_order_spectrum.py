@@ -1,4 +1,4 @@
-"""Spectra over an angle: weights of samples that rest, lines of records that go far, lines that stand out."""
+"""Spectra over an angle: weights of samples at rest, lines of long records, prominent lines."""
 
 import tracemalloc
 
@@ -21,7 +21,7 @@ def test_weights_of_a_record_that_rests_are_those_of_its_motion(moving: int) -> 
 
 
 def test_the_width_of_a_line_is_one_over_the_turns() -> None:
-    """Of even samples: side lobes of a rectangle's transform are below 0.1 from the third on."""
+    """For even samples: the side lobes of a rectangle's transform are below 0.1 from the third on."""
     for turns in (50.0, 400.0, 1600.0):
         width = line_width(np.linspace(0.0, TURN * turns, 20_000), 0.1)
         assert width * turns == pytest.approx(2.7, abs=0.3)
@@ -43,7 +43,7 @@ def test_memory_is_bounded_for_any_number_of_turns() -> None:
 
 @pytest.mark.parametrize("true", [3.37, 17.043, 33.3])
 def test_a_line_stands_out_at_its_own_order(true: float) -> None:
-    """Over noise that falls with the order, to a fiftieth of what 40 turns resolve."""
+    """Accurate to a fiftieth of the resolution of 40 turns, in noise that falls with the order."""
     rng = np.random.default_rng(1)
     angle = TURN * 40.0 * (np.arange(40_000) + rng.random(40_000)) / 40_000
     noise = np.cumsum(rng.normal(size=angle.size)) * 0.02

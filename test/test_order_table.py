@@ -1,4 +1,4 @@
-"""Waves that no cause explains as rows of a table: whole numbers, frames, phases that repeat."""
+"""Waves that no cause explains as table rows: integer orders, frames, phases that repeat."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ RATED = 60.0
 
 
 def remainder(seed: int = 0, turns: float = 0.7, ratio: float = 100.0, **extra: float) -> Remainder:
-    """A joint that moves to and fro over a part of an output turn, with rests cut out, and white noise."""
+    """A joint moving to and fro over part of an output turn without its rests, with white noise."""
     rng = np.random.default_rng(seed)
     time = np.arange(0.0, 60.0, 0.005)
     angle = ratio * np.pi * turns * np.sin(2.0 * np.pi * time / 12.0)
@@ -41,7 +41,7 @@ def added(rest: Remainder, wave: np.ndarray) -> Remainder:
     ],
 )
 def test_an_order_is_recognised_in_its_frame(order: float, frame: str, might_be: str) -> None:
-    """Over 0.7 turns of the output a spectrum resolves 1.4 of its orders; a fit of the wave itself more."""
+    """Over 0.7 output turns a spectrum resolves only 1.4 orders; a fit of the wave resolves more."""
     rest = remainder()
     per_input = order / (100.0 if frame == "output" else 1.0)
     made = added(rest, 3.0 * ARCSEC * np.cos(per_input * rest.input_angle - 1.0))
@@ -75,7 +75,7 @@ def test_a_phase_that_changes_from_run_to_run_does_not_repeat() -> None:
 
 @pytest.mark.parametrize("repeats", [False, True])
 def test_other_rows_do_not_change_whether_a_wave_repeats(repeats: bool) -> None:
-    """One without a steady phase in the rows it was found in has no held-out gain: it must not come back."""
+    """A wave without a steady phase in its own rows has no held-out gain and must not come back."""
     rest = remainder()
     steady = added(rest, 6.0 * ARCSEC * np.cos(1.5 * rest.input_angle - 1.0))
     phase = np.random.default_rng(5).uniform(0.0, 2.0 * np.pi, 20)[rest.run]

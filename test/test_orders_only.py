@@ -1,4 +1,4 @@
-"""Orders without a tooth model: a gear of which only the ratio is known."""
+"""Orders without a tooth model: only the ratio of the gear is known."""
 
 import json
 from pathlib import Path
@@ -14,7 +14,7 @@ COLUMNS_GIVEN = ("--columns", ",".join(f"{key}={name}" for key, name in COLUMNS.
 
 
 def table(folder: Path, seed: int, order: float = 128.0, ratio: float = 100.0) -> Path:
-    """A robot's move of 0.8 of an output turn, with an encoder's line and an offset of its own."""
+    """A move over 0.8 of an output turn, with an encoder's line and a random offset."""
     record = moves(5.0)
     rng = np.random.default_rng(seed)
     line = SIZE * np.cos(order * record.input_angle / 100.0 - 0.7) + 1e-3 * rng.uniform()
@@ -42,7 +42,7 @@ def test_a_line_of_the_output_encoder_is_described(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("ratio", [160.0, 152.4])
 def test_a_ratio_without_its_teeth_is_enough(ratio: float, tmp_path: Path) -> None:
-    """Of another gear than the example's, or of one behind a belt; what needs teeth says which."""
+    """Ratio of another gear than the example's, or of one behind a belt; verbs that need teeth say so."""
     config, result = tmp_path / "r.yaml", tmp_path / "o.json"
     config.write_text(f"hd_diag:\n  ros__parameters:\n    joints: [a4]\n    a4: {{ratio: {ratio}}}\n")
     given = (table(tmp_path, 1, ratio=ratio), *COLUMNS_GIVEN, "--config", config, "--json", result)

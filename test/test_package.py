@@ -1,4 +1,4 @@
-"""The package as others get it: a wheel built from a copy of the tree, package.xml, changelog and locks."""
+"""The package as distributed: a wheel built from a copy of the tree, package.xml, changelog and locks."""
 
 import email
 import os
@@ -21,7 +21,7 @@ from hd_diag.cli import fleet as cli_fleet
 
 ROOT = Path(__file__).resolve().parent.parent
 LOCKS = ("demo", "test", "ubuntu", "challenge")
-# The whole grammar of a lock: no option, no address, no path can be in it.
+# The complete grammar of a lock line: it allows no option, address or path.
 LOCK_LINE = re.compile(
     r"|((    )?#.*|[a-z0-9-]+==[^\s;]+( ; [^\\/]+)? \\|    --hash=sha256:[0-9a-f]{64}( \\)?)"
 )
@@ -56,7 +56,7 @@ def package_xml() -> Package:
 
 
 def locked(name: str) -> list[tuple[str, str]]:
-    """Name and version of every entry of a lock; a name has one entry for each range of Python versions."""
+    """Name and version of every entry of a lock; a name has one entry per range of Python versions."""
     return re.findall(r"(?m)^([a-z0-9-]+)==([^\s;]+)", (ROOT / f"requirements/{name}.txt").read_text())
 
 
@@ -71,7 +71,7 @@ def test_version_and_licence_agree(metadata: Message, package_xml: Package) -> N
 
 
 def test_everything_is_installed(wheel: zipfile.ZipFile, source_copy: Path) -> None:
-    """Modules, the page's templates, data files and the entry of the ament index."""
+    """Modules, templates of the page, data files and the entry of the ament index."""
     files = {path.relative_to(source_copy).as_posix() for path in source_copy.rglob("*") if path.is_file()}
     package = {name for name in files if re.match(r"hd_diag/(.*\.(py|csv|typed)$|report/templates/)", name)}
     data = {name for name in files if re.match(r"(config|launch|examples)/", name)}
@@ -102,12 +102,12 @@ def test_locked_versions_are_in_range(requirements: list[Requirement], lock: str
 
 
 def test_the_demo_leaves_out_what_the_fleet_alone_needs(requirements: list[Requirement]) -> None:
-    """170 MB: they are an extra, which `make test` installs and `hd-diag fleet` names."""
+    """They take 170 MB and are an extra: `make test` installs it, and `hd-diag fleet` names it."""
     alone = {r.name for r in requirements if r.marker and r.marker.evaluate({"extra": "fleet"})}
     assert alone == {"pyarrow", "ruptures"} == set(cli_fleet._NEEDED)
     assert alone <= {name for name, _ in locked("test")}
     assert not alone & {name for name, _ in locked("demo")}
-    assert {*locked("demo")} <= {*locked("test")}  # the same versions
+    assert {*locked("demo")} <= {*locked("test")}  # with the same versions
 
 
 @pytest.mark.parametrize("lock", [*LOCKS, "test-source"])
@@ -124,8 +124,8 @@ def test_a_lock_names_no_place_and_has_a_hash_for_every_entry(lock: str) -> None
 
 
 def test_make_works_on_a_copy_of_a_tree_that_is_read_only() -> None:
-    """It says where; a later run keeps environments, and nothing that the tree no longer has."""
-    with tempfile.TemporaryDirectory() as folder:  # which others can enter: root may write everywhere
+    """It reports the copy's folder; a later run keeps environments, but no file missing from the tree."""
+    with tempfile.TemporaryDirectory() as folder:  # others can enter it; root could write everywhere
         place, tree, cache = Path(folder), Path(folder) / "tree", Path(folder) / "cache"
         shutil.copytree(ROOT / "scripts", tree / "scripts")
         shutil.copy(ROOT / "Makefile", tree)
@@ -154,7 +154,7 @@ def test_make_works_on_a_copy_of_a_tree_that_is_read_only() -> None:
 
 
 def find_python(*words: object, path: Path | None = None) -> Path:
-    """What scripts/find_python.sh prints, with a folder before the others on the PATH."""
+    """Output of scripts/find_python.sh, with a folder in front of the others on the PATH."""
     env = {**os.environ, "PATH": os.pathsep.join([*([str(path)] if path else []), os.environ["PATH"]])}
     command = ["sh", str(ROOT / "scripts" / "find_python.sh"), *map(str, words)]
     run = subprocess.run(command, env=env, capture_output=True, text=True, timeout=60)
@@ -163,7 +163,7 @@ def find_python(*words: object, path: Path | None = None) -> Path:
 
 
 def test_an_environment_keeps_its_python_unless_another_is_named_or_it_is_active(tmp_path: Path) -> None:
-    """The one that is active may be the very one that is made anew."""
+    """The active environment may be the one being made again."""
     base, other = find_python(), tmp_path / "other"
     other.symlink_to(base)
     stamp = tmp_path / "lock.stamp"

@@ -1,4 +1,4 @@
-"""A joint whose torsion is its page's, K1 to K3 piecewise and no tooth in it, is predicted as configured."""
+"""A joint whose torsion is its page's, piecewise K1 to K3 without teeth, is predicted as configured."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,7 +22,7 @@ WITHIN = 0.07
 
 
 def record(name: str) -> SimpleNamespace:
-    """A minute at 50 Hz: the input turns on, the torque swings slower, up to 2 T2 and through zero."""
+    """A minute at 50 Hz: the input turns, the torque swings more slowly, up to 2 T2 and through zero."""
     ratio, t1, t2, k1, k2, k3 = PAGES[name]
     time = np.arange(3000) / 50.0
     torque = 2.0 * t2 * np.sin(2.0 * np.pi * time / 30.0) * np.abs(np.sin(2.0 * np.pi * time / 60.0))

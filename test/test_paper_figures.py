@@ -1,4 +1,4 @@
-"""The paper's figures: claims hold for its drive, their numbers are the published ones, and they can fail."""
+"""The paper's figures: claims hold for its drive, with the published numbers, and can fail for others."""
 
 import dataclasses
 import re
@@ -52,7 +52,7 @@ def test_every_claim_holds_with_the_published_numbers(teeth: Any) -> None:
 
 
 def test_interference_begins_where_published() -> None:
-    """In a comment of its file: with the exact datum, and with the rounded one that the file has."""
+    """The example file's comment gives it for the exact datum and for the file's rounded one."""
     lines = (ROOT / "config" / "example_drive.yaml").read_text().splitlines()
     text = " ".join(line.lstrip("# ") for line in lines)
     told = r"([\d.]+) mm let interference .*? of ([\d.]+) mm, .*? to ([\d.]+) mm .*? at ([\d.]+) mm"
@@ -104,7 +104,7 @@ def coned(sections: int, **changes: complex) -> Drive:
 
 
 def test_sections_are_drawn_with_the_claims_at_the_middle_and_both_ends(tmp_path: Path) -> None:
-    """Least backlash of the brute force at L = 40 mm, from the bottom on."""
+    """Least backlash at L = 40 mm from the brute-force calculation, beginning at the cup's bottom."""
     file, out = tmp_path / "cup.yaml", tmp_path / "out"
     rows = {**CUP, "sections": 5}
     text = "hd_diag:\n  ros__parameters:\n    joint_1:\n"
@@ -136,7 +136,7 @@ def test_loads_of_sections_over_the_width_are_the_whole_load() -> None:
 
 
 def test_claims_hold_in_the_middle_of_a_cup(teeth: Any) -> None:
-    """The middle of a cup is the paper's section; at the bottom teeth interfere by 4.56 um from the first."""
+    """The cup's middle is the paper's section; at the bottom teeth interfere by 4.56 um from the start."""
     cup = coned(3)
     drawn = {each.name: each for each in sections.figures(cup)}
     bottom, middle = (drawn[f"figure_6_{end}"] for end in ("bottom", "middle"))

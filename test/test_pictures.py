@@ -1,4 +1,4 @@
-"""SVG of pictures: what stands in it, what cannot, the same for the same numbers."""
+"""SVG of pictures: their texts, harmless names, and equal output for equal numbers."""
 
 import re
 from itertools import combinations
@@ -38,8 +38,8 @@ def texts(svg: str) -> list[str]:
 
 
 def test_a_hostile_name_is_letters_and_nothing_else() -> None:
-    """No style either; ink is that of the page."""
-    name = HOSTILE.replace("\x07", "")  # XML has no such character: the page spells it out before
+    """It contains no style either; ink has the page's colour."""
+    name = HOSTILE.replace("\x07", "")  # not allowed in XML: the page spells it out before
     svg = inline_svg(labelled(name, name), "a", name, name)
     root = Xml.fromstring(svg)
     tags = {element.tag for element in root.iter()}
@@ -59,7 +59,7 @@ def test_nothing_in_it_is_mathematics_whatever_matplotlib_is_set_to() -> None:
 
 
 def test_every_reference_has_an_id_of_the_picture_s_own() -> None:
-    """Which a page's pictures do not share: test_report.py."""
+    """Pictures of a page share no ids: test_report.py."""
     svg = inline_svg(labelled("same"), "first", "", "")
     used = set(re.findall(r'(?:href="#|url\(#)([^")]+)', svg))
     assert used
@@ -84,7 +84,7 @@ def test_a_ladder_shows_its_numbers() -> None:
 
 
 def test_the_evidence_s_bars_have_names_and_numbers() -> None:
-    """Nothing first, then the nearest; a cause itself is no row."""
+    """The row without the cause comes first, then the closest alternatives; the cause itself has no row."""
     weighed = {
         "hysteresis": {"": -143.3, "hysteresis": 0.0, "viscous_windup": -30.0, "coulomb_windup": -6.65},
         "output_runout": {"": -8.0, "output_runout": 0.0},
@@ -117,4 +117,4 @@ def test_drawing_of_a_drive_has_readable_labels_and_its_interference() -> None:
     struck = np.degrees(where[least < 0.0]) % 360.0
     assert np.all((struck > 20.0) & (struck < 75.0) == positive[least < 0.0])
     assert np.all((struck > 155.0) & (struck < 210.0) != positive[least < 0.0])
-    assert np.nanmin(least) == pytest.approx(-18.3e-6, abs=0.1e-6)  # as of the paper's tooth 0, of symmetry
+    assert np.nanmin(least) == pytest.approx(-18.3e-6, abs=0.1e-6)  # as for the paper's tooth 0, by symmetry

@@ -1,4 +1,4 @@
-"""Tasks on processes of this machine or on the workers of a Dask scheduler on loopback, some of which die."""
+"""Tasks on local processes or on workers of a Dask scheduler on loopback, some of which die."""
 
 import json
 import multiprocessing
@@ -30,7 +30,7 @@ def environment() -> dict[str, str]:
 
 
 class Workers:
-    """Processes of this machine; what they note goes into `calls`."""
+    """Processes of this machine; their notes are files in `calls`."""
 
     def __init__(self, calls: Path) -> None:
         self.calls = calls
@@ -39,7 +39,7 @@ class Workers:
         return ProcessPool(jobs)
 
     def renewed(self) -> None:
-        """A worker comes for one that has gone: here the pool sees to it."""
+        """Replace a worker that has gone: here the pool does it."""
 
     def begun(self) -> list[tuple[str, int]]:
         return pool_tasks.calls(self.calls)
@@ -59,7 +59,7 @@ class Cluster(Workers):
         return ClusterPool(str(json.loads(self._file.read_text())["address"]))
 
     def renewed(self) -> None:
-        """Without a nanny: who is killed stays dead."""
+        """Start a worker without a nanny, so that a killed worker stays dead."""
         local = ("--local-directory", str(self._folder), "--host", "127.0.0.1")
         self._start("worker", "--nthreads", "1", "--no-nanny", *local, "--scheduler-file")
 
@@ -127,14 +127,14 @@ def test_a_worker_that_is_killed_loses_nothing(workers: Workers) -> None:
 
 
 def test_what_hangs_ends_its_worker_once_and_the_others_go_on(workers: Workers) -> None:
-    """The time is that of each item, not of the worker: the others together take longer."""
+    """The timeout applies to each item, not to the worker: the other items together take longer."""
     names = ["a", "fifo", "b", "pattern", "c", "d"]
     with workers.pool(jobs=1) as pool:
         results = dict(run(pool, pool_tasks.stuck, names, timeout=1.0))
     assert results == {0: "a", 1: LATE, 2: "b", 3: LATE, 4: "c", 5: "d"}
     begun = workers.begun()
     assert sorted(name for name, _ in begun) == sorted(names)
-    if not isinstance(workers, Cluster):  # one after the other, and a process for each that was killed
+    if not isinstance(workers, Cluster):  # in sequence, with a new process after each kill
         assert [name for name, _ in begun] == names
         assert len({process for _, process in begun}) == 3
 
@@ -144,7 +144,7 @@ def test_map_keeps_the_order_and_says_when_an_item_is_done(jobs: int) -> None:
     before, done = set(multiprocessing.active_children()), list[bool]()
     with ProcessPool(jobs) as pool:
         assert list(run(pool, pool_tasks.square, [])) == []
-        assert not set(multiprocessing.active_children()) - before  # nothing to do starts no process
+        assert not set(multiprocessing.active_children()) - before  # an empty list starts no process
         results = pool.map(pool_tasks.slower_first, range(5), lambda: done.append(True))
     assert (results, len(done)) == ([0, 1, 2, 3, 4], 5)
 
@@ -212,7 +212,7 @@ def test_workers_of_a_scheduler_do_tasks_and_what_raises_is_a_failure() -> None:
 @pytest.mark.slow  # 10 s
 @pytest.mark.parametrize("dask", [1], indirect=True)
 def test_the_cluster_makes_the_same_rows(dask: Cluster, tmp_path: Path, monkeypatch) -> None:
-    """From paths alone, though it is in another folder."""
+    """The cluster gets only paths, although it runs in another folder."""
     monkeypatch.setattr("hd_diag.fleet.run.judge", fleet_tasks.quick)
     (tmp_path / "bags").mkdir()
     monkeypatch.chdir(tmp_path)

@@ -1,4 +1,4 @@
-"""What ``import hd_diag`` offers: its page runs, it is what the command line does, importing is instant."""
+"""Interface of ``import hd_diag``: its page runs, equals the command line, and imports instantly."""
 
 import doctest
 import inspect
@@ -25,7 +25,7 @@ ELBOW = [
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A page's parameter file, and a record as in the docs, shorter and of one section."""
+    """Parameter file of a catalogue page, and a record as in the docs, but shorter and with one section."""
     place = tmp_path_factory.mktemp("notebook")
     page, config, bag = place / "page.yaml", place / "elbow.yaml", place / "elbow.mcap"
     assert command("gear", *ELBOW, "--accuracy=1", "--joint=elbow", "--out", page).exit_code == 0

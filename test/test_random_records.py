@@ -1,4 +1,4 @@
-"""Records of any make: every verb ends with a result or one line, never with a fault of its own."""
+"""Random records: every verb ends with a result or one line, never with an internal error."""
 
 from pathlib import Path
 
@@ -23,12 +23,12 @@ def gears(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 
 FEW = (0, 1, 2, 7)  # every verb
-MANY = (3, 4, 5, 6, 8, 9, *range(100, 500), 2023, 2200)  # the last two failed once
+MANY = (3, 4, 5, 6, 8, 9, *range(100, 500), 2023, 2200)  # the last two once failed
 
 
 @pytest.mark.parametrize("seed", [*FEW, *(pytest.param(seed, marks=pytest.mark.slow) for seed in MANY)])
 def test_records_of_any_make(seed: int, gears: list[Path], tmp_path: Path) -> None:
-    """Code 0 with a result, or 2 with one line that says why; nothing else on stderr."""
+    """Code 0 with a result, or code 2 with one line that gives the reason; nothing else on stderr."""
     made = case(seed, tmp_path)
     result = hd_diag(*made.arguments, "--config", gears[made.gear])
     assert isinstance(result.exception, SystemExit | None)
@@ -39,7 +39,7 @@ def test_records_of_any_make(seed: int, gears: list[Path], tmp_path: Path) -> No
 
 @pytest.mark.slow
 def test_a_thousand_short_moves(gears: list[Path], tmp_path: Path) -> None:
-    """Each of a second at 100 Hz: runs of less than a four-hundredth of the record."""
+    """Moves of one second at 100 Hz: each run is less than a four-hundredth of the record."""
     rng, moves = np.random.default_rng(0), 700
     share = np.linspace(0.0, 1.0, 100)
     steps = rng.uniform(-150.0, 150.0, moves)
@@ -54,4 +54,4 @@ def test_a_thousand_short_moves(gears: list[Path], tmp_path: Path) -> None:
     words = ("diagnose", str(file), "--columns", "time=t,input=x,output=y,torque=q", "--time-limit", "0")
     result = hd_diag(*words, "--config", gears[0])
     assert result.exit_code == 0, result.output
-    assert "runs): nominal" in result.stdout  # whole runs are held out
+    assert "runs): nominal" in result.stdout  # whole runs are held-out

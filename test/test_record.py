@@ -1,4 +1,4 @@
-"""A record's cleaning: what is taken out, what is put back, where runs begin."""
+"""Cleaning of a record: samples removed, angles unwrapped, beginnings of runs."""
 
 from collections.abc import Callable
 
@@ -29,7 +29,7 @@ def without(given: Columns, rows: np.ndarray) -> Columns:
 def test_clean_columns_stay_and_speed_is_the_derivative(given: Columns) -> None:
     record = prepared(given)
     assert (record.dropped, record.extent.runs, record.has_torque) == (0, 1, True)
-    # 2 arcsec of noise has no sample at 8 deviations of its own neighbourhood.
+    # Noise of 2 arcsec has no sample at 8 deviations from its neighbours.
     assert (record.outliers, record.size) == (0, given["time"].size)
     kept = {"input": record.input_angle, "output": record.output_angle, "torque": record.reported_torque}
     for name, found in kept.items():
@@ -53,14 +53,14 @@ def test_noise_of_the_torque_is_smoothed_without_phase(given: Columns) -> None:
 def test_nan_stretches_are_taken_out(given: Columns, name: str) -> None:
     given[name][500:520] = np.nan
     record = prepared(given)
-    assert record.dropped == (20 if name != "time" else 21)  # the next stamp has nothing to follow
+    assert record.dropped == (20 if name != "time" else 21)  # the stamp after the gap has no predecessor
     assert record.extent.runs == 2
     for column in (record.time, record.input_angle, record.output_angle, record.torque, record.speed):
         assert np.isfinite(column).all()
 
 
 def test_dropouts_of_more_than_five_samples_make_runs(given: Columns) -> None:
-    kept = without(given, np.r_[1000:1003, 2000:2033, 3000:3005])  # one turn at full speed, which is no wrap
+    kept = without(given, np.r_[1000:1003, 2000:2033, 3000:3005])  # one turn at full speed, no wrap
     record = prepared(kept)
     assert record.extent.runs == 3
     assert_array_equal(record.input_angle, kept["input"])
@@ -72,9 +72,9 @@ def test_dropouts_of_more_than_five_samples_make_runs(given: Columns) -> None:
     ("lost", "outliers"),
     [
         ((), {row: 300.0 * (-1.0) ** row for row in range(100, 4000, 99)}),
-        ((), {700: 900.0, 701: 300.0, 1500: -60.0}),  # beside each other
-        ((), {700: 900.0, 701: 880.0, 1500: -60.0, 1501: -75.0, 2500: 1900.0, 2501: 1640.0}),  # alike
-        ((*range(1956, 1996), *range(2002, 2042)), {2000: 2000.0}),  # few between gaps
+        ((), {700: 900.0, 701: 300.0, 1500: -60.0}),  # next to each other
+        ((), {700: 900.0, 701: 880.0, 1500: -60.0, 1501: -75.0, 2500: 1900.0, 2501: 1640.0}),  # similar
+        ((*range(1956, 1996), *range(2002, 2042)), {2000: 2000.0}),  # few samples between gaps
     ],
 )
 def test_outliers_are_taken_out_and_nothing_else(
@@ -89,7 +89,7 @@ def test_outliers_are_taken_out_and_nothing_else(
 
 
 @pytest.mark.parametrize("size", [1e3, -1e5, 1e160])
-@pytest.mark.parametrize("every", [1, 10, 4000])  # rows for which a reported torque stands: all, constant
+@pytest.mark.parametrize("every", [1, 10, 4000])  # rows per reported torque: all, some, constant
 def test_a_torque_far_off_is_taken_out(given: Columns, size: float, every: int) -> None:
     given["torque"] = np.repeat(given["torque"][::every], every)
     assert prepared(given).outliers == 0
@@ -110,13 +110,13 @@ def test_a_torque_far_off_is_taken_out(given: Columns, size: float, every: int) 
     ],
 )
 def test_torques_that_a_joint_has_are_no_outliers(given: Columns, torque: Of) -> None:
-    """Two-sided, a burst, noise with long tails, the last between reported ones: hardly a sample goes."""
+    """Two-sided, a burst, long-tailed noise, linear between reported values: hardly a sample is removed."""
     given["torque"] = torque(given["time"])
     assert prepared(given).outliers <= 4
 
 
 def ripple(given: Columns) -> np.ndarray:
-    """60 arcsec with 13 samples a wave in one stretch and nothing in the rest; a step within two samples."""
+    """Output with a 60 arcsec wave of 13 samples in one stretch only, and a step within two samples."""
     wave = np.where(given["time"] > 14.0, np.cos(0.48 * ROWS), 0.0)
     step = np.interp(given["time"], [5.0, 5.005], [0.0, 80.0])
     return given["output"] + (60.0 * wave + step) * ARCSEC
@@ -132,7 +132,7 @@ def counted(counts: int) -> Of:
     [
         ripple,
         *map(counted, (2**12, 2**16, 2**20)),
-        lambda given: given["output"][np.where((ROWS > 1000) & (ROWS < 1750), 1000, ROWS)],  # is stuck
+        lambda given: given["output"][np.where((ROWS > 1000) & (ROWS < 1750), 1000, ROWS)],  # stuck
     ],
 )
 def test_outputs_that_a_joint_has_are_neither_outliers_nor_held(given: Columns, output: Of) -> None:
@@ -159,7 +159,7 @@ def test_jitter_is_no_gap(given: Columns) -> None:
 def test_wrapped_angles_are_unwrapped_over_gaps_and_bags(
     given: Columns, names: tuple[str, ...], low: float, lost: slice, bags: int
 ) -> None:
-    """At 37 rad/s a gap of 0.4 s hides more than two turns of the input: the output tells them."""
+    """At 37 rad/s a gap of 0.4 s hides more than two input turns; the output reveals them."""
     kept = {name: np.delete(column, lost) for name, column in given.items()}
     bag = np.arange(kept["time"].size) * bags // kept["time"].size
     expected = prepared(kept, bag)
@@ -187,7 +187,7 @@ STILL = "no motion: the output angle is {:.6g} rad throughout"
         (lambda g: {"input": 0.02 * g["input"]}, r"^no motion: the input turns by 2\.4 rad, at "),
         (lambda g: {"output": np.where(ROWS < 2010, np.nan, g["output"])}, HALF),
         (lambda g: {"input": g["output"], "output": g["input"]}, SWAPPED),
-        (lambda g: {"input": g["input"] * 2.0**30 / TURN}, TOO_FAST),  # counts that no encoder has
+        (lambda g: {"input": g["input"] * 2.0**30 / TURN}, TOO_FAST),  # counts of no real encoder
         (lambda g: {name: 2000.0 * g[name] for name in ("input", "output")}, TOO_FAST),
         (lambda g: {name: 1e9 * g[name] for name in ("input", "output")}, TOO_FAST),
         *((lambda g, at=at: {"output": 0.0 * ROWS + at}, STILL.format(at)) for at in (0.3, -1e5, 0.0)),
@@ -200,7 +200,7 @@ def test_records_that_cannot_be_judged(given: Columns, changed: Callable[..., Co
 
 
 def test_what_is_near_to_such_records_can_be(given: Columns) -> None:
-    """Pieces that are just long enough to tell noise; an input that is 200 times as fast: 24 rad/s."""
+    """Pieces just long enough to measure noise, or an input 200 times as fast (24 rad/s), can be judged."""
     torn = prepared(given | {"time": given["time"] + ROWS // (ORDER + 1)})
     assert torn.extent.runs > 100
     for turns in (1.0, 200.0):
@@ -229,7 +229,7 @@ def test_bags_are_runs_and_rows_keep_theirs(given: Columns) -> None:
 
 
 def test_what_remembers_goes_on_to_a_recording_that_follows_at_once(given: Columns) -> None:
-    """A gear that warms up does not begin anew; an angle that is the integral of a velocity does."""
+    """A warming gear continues in the next recording; an integrated velocity restarts."""
     bag = np.arange(given["time"].size) // 1500
     assert not prepared(given, bag).stretch.any()
     assert_array_equal(prepared(given, bag, by_velocity=True).stretch, bag)
@@ -266,7 +266,7 @@ def test_a_torque_that_is_none_is_told(given: Columns, torque: float, told: str)
 
 @pytest.mark.parametrize("bits", [10, 16, 24])
 def test_counts_of_an_encoder_are_left_to_a_finding(given: Columns, bits: int) -> None:
-    """However fast they make the input; those of no encoder are refused before anything is spread out."""
+    """Encoder counts pass at any speed; impossible counts are refused before spectra become large."""
     counted = prepared(given | {"input": np.round(given["input"] * 2.0**bits / TURN)})
     found = screened(counted, joint().drive).findings[0]
     assert found.fatal
@@ -274,7 +274,7 @@ def test_counts_of_an_encoder_are_left_to_a_finding(given: Columns, bits: int) -
 
 
 def test_an_output_that_is_held_between_its_own_samples_counts_once() -> None:
-    """Its topic comes at a quarter of the input's rate, and every row repeats the last that came."""
+    """The output comes at a quarter of the input's rate, and its last value repeats in every row."""
     given = columns(seconds=40.0)
     rows = np.arange(given["time"].size)
     whole = prepared(given)

@@ -1,4 +1,4 @@
-"""A session: messages in, bytes out, and a record of it that gives the same bytes again."""
+"""A session takes messages and writes bytes; its record gives the same bytes again."""
 
 import base64
 import itertools
@@ -74,7 +74,7 @@ def temperature(value: float) -> bytes:
 
 
 def moving(session: Session, log: Log, first: int, last: int) -> None:
-    """Joint a in one message, joint b with its output apart; a temperature and lost samples."""
+    """Joint a in one message, joint b with a separate output; a temperature and lost samples."""
     for i in range(first, last):
         if i % 40 == 7:
             continue
@@ -89,7 +89,7 @@ def moving(session: Session, log: Log, first: int, last: int) -> None:
 
 
 def test_another_log_goes_on_and_replays_from_its_own_start(tmp_path: Path) -> None:
-    """All that is known is kept: counters, pairs that wait, effects with memory; also in a third log."""
+    """All state is kept, also in a third log: counters, waiting pairs, effects with memory."""
     given = config("a", "b", a__model_file=str(write_model(tmp_path / "m.json", *STATEFUL)))
     whole, logs = Log(tmp_path / "whole.mcap"), [Log(tmp_path / f"{i}.mcap") for i in range(3)]
     clock, log = itertools.count(START), logs[0]
@@ -134,7 +134,7 @@ def test_a_hostile_state_is_refused(spoil: str) -> None:
 
 
 def test_silence_goes_by_a_clock_of_its_own(tmp_path: Path) -> None:
-    """The system's clock is set back by an hour: times of reception hardly rise any more."""
+    """The system's clock is set back by an hour, so reception times hardly advance."""
     log, hour = Log(tmp_path / "log.mcap"), 3600 * 10**9
     session = Session(config(), log)
     session.start(next(log.clock))
@@ -150,7 +150,7 @@ def test_silence_goes_by_a_clock_of_its_own(tmp_path: Path) -> None:
 
 
 def test_messages_taken_together_give_what_one_by_one_do() -> None:
-    """Of two topics in any number at a time; some cannot be read, a temperature changes among them."""
+    """Any number of messages of two topics; some are unreadable, and a temperature changes."""
     chance = np.random.default_rng(7)
     own = {"field": "effort[b_motor]", "topic": "joint_states", "type": "sensor_msgs/JointState"}
     configured = config("a", "b", **{f"b__temperature_signal__{name}": value for name, value in own.items()})

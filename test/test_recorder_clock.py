@@ -1,4 +1,4 @@
-"""A recorder's clock that is set back: the file's order is kept; what is but disordered is sorted."""
+"""A recorder's clock that is set back: the file's order stays; messages merely out of order are sorted."""
 
 from pathlib import Path
 
@@ -22,7 +22,7 @@ STRING = "std_msgs/msg/String"
 
 
 def two_topics(count: int, back: float | np.ndarray, at: int = 300) -> list[Message]:
-    """Messages every 10 ms, of two topics in turn; from number `at` on the clock is late by so much [s]."""
+    """Messages every 10 ms on two alternating topics; from index `at` on, the clock is ``back`` late [s]."""
     late = np.where(np.arange(count) < at, 0, np.rint(np.multiply(back, SECOND)).astype(np.int64))
     times = START + 10 * MS * np.arange(count) - late
     return [("/ab"[:1] + "ab"[i % 2], STRING, string_cdr(f"{i}"), int(t)) for i, t in enumerate(times)]
@@ -52,7 +52,7 @@ CLOCKS = [*((way, back) for way in WAYS for back in (2.0, OFTEN))]
 
 @pytest.mark.parametrize(("way", "back"), [*CLOCKS, *(("small chunks", far) for far in (0.353, 3600.0, 1e9))])
 def test_the_order_of_the_file_is_kept(way: str, back: float | np.ndarray, tmp_path: Path) -> None:
-    """Where the clock is set back, also where it is so twice, and forward."""
+    """The clock is set back once, or repeatedly and also forward."""
     path = WAYS[way](tmp_path, two_topics(500, back, at=0 if back is OFTEN else 300))
     assert read(path) == list(range(500))
     assert read(path, ["/b"]) == list(range(1, 500, 2))
@@ -61,7 +61,7 @@ def test_the_order_of_the_file_is_kept(way: str, back: float | np.ndarray, tmp_p
 @pytest.mark.parametrize("back", [0.0, 2.0])
 @pytest.mark.parametrize("way", WAYS)
 def test_what_threads_write_out_of_turn_is_sorted(way: str, back: float, tmp_path: Path) -> None:
-    """Blocks of seven messages, over up to 0.28 s; not over the place where the clock was set back."""
+    """Blocks of seven messages within 0.28 s are sorted, but not across the step of the clock."""
     chance, given = np.random.default_rng(3), two_topics(602, back, at=280)
     blocks = [given[i : i + 7] for i in range(0, 602, 7)]
     order = [int(i) for begin in range(0, len(blocks), 4) for i in begin + chance.permutation(4)]
@@ -97,7 +97,7 @@ OUTPUT = ANGLE / 100.0 + 1e-5 * np.random.default_rng(0).standard_normal(COUNT)
 
 
 def joint(path: Path, back: float, headers: bool) -> Path:
-    """A joint at 200 Hz whose recorder's clock is set back, and that of the headers likewise or not."""
+    """A joint at 200 Hz whose recorder's clock is set back, with or without the header's clock."""
     true = START + 5 * MS * np.arange(COUNT)
     log = true - np.where(np.arange(COUNT) < AT, 0, round(back * SECOND))
     stamps, angles = log if headers else true, np.column_stack((ANGLE, OUTPUT))
@@ -112,7 +112,7 @@ def joint(path: Path, back: float, headers: bool) -> Path:
 def test_a_record_begins_another_recording_there(
     name: str, back: float, headers: bool, tmp_path: Path
 ) -> None:
-    """Where the stamps in the headers go back, too."""
+    """A new recording begins if the header stamps go back, too."""
     record = read_bags([joint(tmp_path / name, back, headers)], resolve({}).joints[0])
     assert (record.stamps.set_back, record.stamps.refused) == (int(headers), 0)
     assert np.unique(record.bag).size == 1 + headers
@@ -127,7 +127,7 @@ def test_topics_pairs_input_and_output_of_it(tmp_path: Path) -> None:
 
 
 def test_a_replay_keeps_the_order_and_so_does_one_of_it(tmp_path: Path) -> None:
-    """Reports go on by the clock that was set back, also where that was by hours."""
+    """Reports continue by the clock that was set back, even by hours."""
     bag = joint(tmp_path / "a.mcap", 7200.0, True)
     result = replay(bag, tmp_path / "log", resolve({"array_rate": 0.0}))
     assert result.rejected == {"joint_1": 0}

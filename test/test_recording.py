@@ -1,4 +1,4 @@
-"""Records from bags and tables, as users have them."""
+"""Records from bags and tables, in the forms that users have."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -107,7 +107,7 @@ def test_several_bags_are_runs(given: Columns, tmp_path: Path) -> None:
 
 
 def test_input_and_output_in_messages_of_their_own(given: Columns, tmp_path: Path) -> None:
-    """The input at 1 kHz, half a step beside the output's 200 Hz: interpolated to the output's stamps."""
+    """The input at 1 kHz, half a step off the output's 200 Hz, is interpolated to the output's stamps."""
     fast = np.arange(0.0005, 6.0, 0.001)
     angle = 60.0 * np.sin(2.0 * np.pi * fast / 10.0)
     path = write(
@@ -117,14 +117,14 @@ def test_input_and_output_in_messages_of_their_own(given: Columns, tmp_path: Pat
     )
     record = read(path)
     assert_allclose(record.time, given["time"][1:] - given["time"][1], rtol=0, atol=1e-9)
-    # Linear interpolation: an eighth of the step squared times the acceleration.
+    # Linear interpolation error: an eighth of the step squared times the acceleration.
     bound = 1.01 * 0.001**2 / 8 * 60.0 * (2.0 * np.pi / 10.0) ** 2
     assert_allclose(record.input_angle, given["input"][1:], rtol=0, atol=bound)
 
 
 @pytest.mark.parametrize("apart", [1, 20])
 def test_a_torque_far_off_goes_with_the_samples_beside_it(given: Columns, apart: int, tmp_path: Path) -> None:
-    """Reported with the angles or, less often, in messages of its own, between which it is interpolated."""
+    """Torque comes as often as the angles or less; samples interpolated from the outlier go, too."""
     time, torque = given["time"], given["torque"].copy()
     torque[600] = 1e5
     angles = states(time, NAMES, (given["input"], given["output"]))
@@ -149,7 +149,7 @@ def test_a_clock_set_back_begins_a_run(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("apart", [0.2, -1000.0])
 def test_streams_of_two_clocks(given: Columns, apart: float, tmp_path: Path) -> None:
-    """The input comes four times a second, or its clock is another."""
+    """The input comes four times a second, or has another clock."""
     time = given["time"] + apart
     slow = slice(None, None, 50 if apart > 0.0 else 1)
     path = write(
@@ -236,7 +236,7 @@ def write_lines(path: Path, header: str, given: Sequence[np.ndarray], between: s
 def test_a_table_with_a_decimal_comma_and_units_in_its_header(
     given: Columns, tmp_path: Path, between: str
 ) -> None:
-    """As spreadsheets write it, with a mark of its encoding."""
+    """Tables as spreadsheets write them, with a byte-order mark."""
     current = given["torque"] / 11.2
     units = 1e3 * given["time"], np.degrees(given["input"]), given["output"] / (2 * np.pi), current * 1e3
     header = between.join(("t [ms]", "motor (deg)", "link", "i [mA]"))
@@ -255,7 +255,7 @@ def test_a_table_with_a_decimal_comma_and_units_in_its_header(
 def test_a_counter_that_runs_over_is_the_same_in_tables_and_bags(
     given: Columns, tmp_path: Path, counts: int, bits: int, offset: float
 ) -> None:
-    """Of 16 bits with and without a sign, of 32 bits, one that begins anew each turn; by times, by a rate."""
+    """16 bits signed or unsigned, 32 bits, or one that restarts each turn; with stamps or a rate."""
     whole = np.rint(given["input"] / (2 * np.pi) * counts) + offset
     told = np.mod(whole + 2.0**15, 2.0**16) - 2.0**15 if offset < 0 else np.mod(whole, 2.0**bits)
     lines = write_lines(tmp_path / "a.csv", "t,m,l", (given["time"], told, given["output"]), ",")
@@ -273,7 +273,7 @@ def test_a_counter_that_runs_over_is_the_same_in_tables_and_bags(
 def test_a_velocity_in_a_table_is_integrated_as_in_a_bag(
     given: Columns, tmp_path: Path, divided: bool
 ) -> None:
-    """As the link's, of a joint of which the configuration says it; and in rpm of the motor."""
+    """Velocity of the link if the configuration says so, otherwise of the motor in rpm."""
     speed = np.gradient(given["input"], given["time"])
     own = joint(input="velocity")
     columns = {"time": "t", "input": "v", "output": "l"} if divided else {**COLUMNS, "input": "v[rpm]"}
@@ -292,7 +292,7 @@ def test_a_velocity_in_a_table_is_integrated_as_in_a_bag(
 
 
 def test_a_divided_input_of_a_table_that_wraps(given: Columns, tmp_path: Path) -> None:
-    """At the output's side it goes beyond half a turn, at which both encoders begin anew."""
+    """On the output's side it exceeds half a turn, at which both encoders restart."""
     moved = {"input": given["input"] / RATIO + 3.0, "output": given["output"] + 3.0}
     wrapped = {name: np.mod(angle + np.pi, 2 * np.pi) - np.pi for name, angle in moved.items()}
     path = write_table(tmp_path / "a.csv", {**given, **wrapped})
@@ -350,7 +350,7 @@ def test_a_bad_table_is_told_in_one_line(
 
 
 def test_a_bag_of_what_rclpy_serializes(given: Columns, tmp_path: Path) -> None:
-    """As rosbag2_py writes them: with bytes behind the last field where velocity or effort is empty."""
+    """Bags as rosbag2_py writes them: with bytes after the last field if velocity or effort is empty."""
     serialize_message = pytest.importorskip("rclpy.serialization").serialize_message
     messages = pytest.importorskip("sensor_msgs.msg")
     found: list[Message] = []

@@ -1,4 +1,4 @@
-"""The brute-force reference and the model give the published values."""
+"""The brute-force reference and the model reproduce the published values."""
 
 from collections.abc import Callable
 
@@ -37,7 +37,7 @@ def test_backlash_torsion_and_loads(case: published.LoadCase, at_rest: AtRest) -
     if case.largest_force is not None:
         assert_allclose(force.max(), case.largest_force, atol=0.05)
     away = np.abs(backlash[0, published.BACKLASH_TEETH] - published.BACKLASH[case.eccentricity])
-    assert np.all(away < np.where(np.array(published.BACKLASH_TEETH) == 180, 50e-9, 1e-9))  # the last figure
+    assert np.all(away < np.where(np.array(published.BACKLASH_TEETH) == 180, 50e-9, 1e-9))  # the last digit
 
 
 @pytest.mark.parametrize("at_rest", [model_at_rest, reference_at_rest])

@@ -1,4 +1,4 @@
-"""The refit of the model's own parameters, on records of the independent generator."""
+"""Refit of the model's own parameters on records of the independent generator."""
 
 import dataclasses
 import functools
@@ -28,7 +28,7 @@ RNG = np.random.default_rng(0)
 
 @functools.cache
 def generated(seed: int) -> tuple[Record, Base]:
-    """Two minutes at 100 Hz of a drive with wrong parameters, and the truth."""
+    """Two minutes at 100 Hz of a drive with wrong parameters, and its true parameters."""
     rng = families.generator("wrong_parameters", seed)
     made = simulate(drawn(rng), (), motion.standard(rng), rng, Recording(rate=100.0))
     return joint_records.generated(made), made.base
@@ -51,7 +51,7 @@ def test_parameters_are_recovered(seed: int) -> None:
     point, covariance = parameters_of(Solution(settle(linearise(record, CONFIGURED, found.parameters), ())))
     off = away(point, truth)
     assert np.all(np.abs(off) < 4.0 * np.sqrt(np.diag(covariance)))
-    assert off @ np.linalg.solve(covariance, off) < 31.0  # chi-square, 7 degrees of freedom, 6e-5
+    assert off @ np.linalg.solve(covariance, off) < 31.0  # chi-square, 7 degrees of freedom, probability 6e-5
 
 
 def test_gaps_of_the_reported_and_the_real_torque_are_left_out() -> None:
@@ -69,7 +69,7 @@ def test_gaps_of_the_reported_and_the_real_torque_are_left_out() -> None:
 
 
 def test_a_torque_whose_noise_hides_its_sign_is_left_out() -> None:
-    """On a joint that bears next to nothing noise decides the flank: what is left there is no noise."""
+    """On an unloaded joint noise decides the flank, and the residual there is not noise."""
     record, _ = generated(3)
     noise = 0.3 * np.random.default_rng(0).standard_normal(record.size)
     light = 0.01 * record.torque
@@ -94,7 +94,7 @@ def test_a_constant_torque_that_a_shift_takes_away_keeps_its_rows() -> None:
 
 
 def test_a_rest_is_left_out_unless_the_torque_goes_on() -> None:
-    """An encoder repeats one count there: hundreds of samples that are one."""
+    """An encoder repeats one count there: hundreds of samples are worth one."""
     record, _ = generated(3)
     time = np.arange(record.size) / 500.0
     moves = np.floor(time) % 2 == 0

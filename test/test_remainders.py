@@ -1,4 +1,4 @@
-"""Remainders of any joint: what their columns are, beyond their range as well, and models that hold them."""
+"""Remainders of any joint: their columns, also beyond their range, and models that contain them."""
 
 import dataclasses
 import json
@@ -46,7 +46,7 @@ LASTING = tuple(one for one in REMAINDERS if one.lasting)
 
 
 def signals(count: int = 301, **given: Array) -> Signals:
-    """A minute inside all ranges, up to their ends, with what is given in its place."""
+    """A minute of signals that cover all ranges up to their ends; ``given`` replaces columns."""
     share = np.linspace(0.0, 1.0, count)
     turned = 2.0 * np.pi * 7.3 * share
     columns = {
@@ -87,18 +87,18 @@ def test_a_column_stands_for_each_coefficient(effect: Remainder) -> None:
     assert effect.nonlinear[0].name == "size"
     assert_array_equal(effect.usual, np.ones(effect.size))
     assert np.ptp(found, axis=0).min() > 0.0
-    # Of order one times the size, a torsion's as large as a segment of the torque.
+    # Columns reach at most the size; for the torsion, the size times a torque segment.
     most, limit = np.abs(found).max(), SIZE * (50.0 / 8 if effect is TORQUE else 1.0)
     assert 0.9 * limit < most < (1.0 + 1e-12) * limit
     assert_allclose(columns(effect, size=5.0 * SIZE), 5.0 * found, rtol=1e-12)
-    # It is computed from what it says: other signals change nothing.
+    # Signals that are not in ``needs`` have no effect.
     names = {"time", "wave_generator_angle", "output_angle", "speed", "torque"} - set(effect.needs)
     other = dataclasses.replace(INSIDE, **{name: getattr(INSIDE, name)[::-1] for name in names})
     assert_array_equal(columns(effect, other), found)
 
 
 def test_units_are_those_of_what_it_goes_by(effect: Remainder) -> None:
-    """In other units of torque and speed the shape is the same; of a compliance it goes with the torque."""
+    """Other units of torque and speed keep the shape; columns of a compliance scale with the torque."""
     size, low, high = effect.nonlinear
     unit = {"torque": "N m", "speed": "rad/s", "time": "s"}[ALONG[effect]]
     assert (low.unit, high.unit) == (unit, unit)
@@ -106,7 +106,7 @@ def test_units_are_those_of_what_it_goes_by(effect: Remainder) -> None:
     assert {one.unit for one in effect.linear} == {"-"}
     if (
         effect is not TIME and effect not in ORDERS
-    ):  # loads of these, and of the speed, are of the rated torque
+    ):  # their loads, and the speed's, are relative to the rated torque
         given = {} if effect is SPEED else {"torque": 7.0 * INSIDE.torque}
         scaled = dataclasses.replace(INSIDE, speed=7.0 * INSIDE.speed, **given)
         found = effect.columns(scaled, (SIZE, *(7.0 * end for end in RANGE[effect])))
@@ -116,7 +116,7 @@ def test_units_are_those_of_what_it_goes_by(effect: Remainder) -> None:
 @pytest.mark.parametrize("factor", [1.01, 3.0])
 @pytest.mark.parametrize("side", [0, 1])
 def test_beyond_its_range_it_goes_on_as_it_ends(effect: Remainder, side: int, factor: float) -> None:
-    """A torsion at the slope of its last segment, a line as at the greatest torque of either sign."""
+    """A torsion keeps the slope of its last segment; a line stays as at the greatest torque of that sign."""
     end = (-50.0, 50.0)[side] if effect in (PLACE, *ORDERS) else RANGE[effect][side]
     past = end + (factor - 1.0) * (100.0 if side else -100.0)
     ends = (dataclasses.replace(INSIDE, **{ALONG[effect]: np.full(INSIDE.size, x)}) for x in (end, past))
@@ -142,7 +142,7 @@ def test_segments_of_the_torque_sum_to_the_torque() -> None:
 
 
 def test_friction_changes_its_sign_with_the_direction() -> None:
-    """Odd laws, even ones, and odd ones that grow with the load; at rest there is none."""
+    """Odd laws, even laws, and odd laws that grow with the load; all are zero at rest."""
     speed, torque = np.array([-60.0, -8.0, 0.0, 8.0, 60.0]), np.array([14.0, 7.0, 5.0, 7.0, 14.0])
     found = columns(SPEED, signals(5, speed=speed, torque=torque), 1.0)
     assert_allclose(found[:, :5], -found[::-1, :5], atol=1e-15)
@@ -156,14 +156,14 @@ def test_friction_changes_its_sign_with_the_direction() -> None:
 
 
 def test_laws_of_friction_are_constant_in_proportion_or_their_own() -> None:
-    """The same variance at every speed, as that of any other, and that of what is in proportion to it."""
+    """Covariance of two speeds: a constant, a part in proportion to both, and a part of each speed alone."""
     at = np.array([0.01, 0.03, 0.1, 0.3, 1.0])
     found = columns(SPEED, signals(5, speed=80.0 * at), 1.0)[:, :5]
     assert_allclose(found @ found.T, 0.9 + np.outer(at, at) + 0.1 * np.eye(5), atol=1e-12)
 
 
 def test_a_loop_slips_where_the_torque_turns_round() -> None:
-    """Each element sticks over its share of the range, and is relaxed to begin with."""
+    """Each element sticks over its share of the range and starts relaxed."""
     torque = np.concatenate([np.linspace(0.0, 45.0, 451), np.linspace(45.0, -40.0, 851)])
     found = columns(LOOP, signals(torque.size, torque=torque), 1.0)
     for z, reach in zip(found.T, 90.0 * np.array([0.02, 0.06, 0.2, 0.6]), strict=True):
@@ -182,7 +182,7 @@ def test_a_place_has_three_waves_of_the_output_evenly_and_with_the_torque() -> N
     ("seconds", "knots"), [(0.0, 0), (2.0, 0), (4.9, 0), (5.0, 2), (12.0, 3), (60.0, 10), (6000.0, 10)]
 )
 def test_a_drift_has_knots_at_least_five_seconds_apart(seconds: float, knots: int) -> None:
-    """A record of some seconds has none."""
+    """A record of a few seconds has none."""
     long = signals(time=np.linspace(3.0, 3.0 + seconds, INSIDE.size))
     found = TIME.columns(long, (1.0, 3.0, 3.0 + seconds))
     assert np.count_nonzero(found.any(axis=0)) == knots
@@ -190,12 +190,12 @@ def test_a_drift_has_knots_at_least_five_seconds_apart(seconds: float, knots: in
         return
     assert_allclose(found.sum(axis=1), 1.0, rtol=1e-12)
     every = found[:, :knots] @ np.linspace(3.0, 3.0 + seconds, knots)
-    assert_allclose(every, long.time, rtol=1e-9)  # straight between them
+    assert_allclose(every, long.time, rtol=1e-9)  # linear between knots
 
 
 @pytest.mark.parametrize(("order", "effect"), list(zip(LINES, ORDERS[1:], strict=True)))
 def test_a_line_changes_with_the_magnitude_of_the_torque(order: int, effect: Remainder) -> None:
-    """Alike at torques that are alike; of even orders in proportion; a fifth turns with the sign."""
+    """Five even columns, alike at similar torques (order 1: unrelated), and two odd ones a fifth as large."""
     at = 60.0 * np.array([0.0, 1.0, 2.0, 3.0, 4.0]) ** 2 / 16.0  # denser near zero
     apart = np.abs(np.subtract.outer(np.arange(5), np.arange(5)))
     changing = 1.0 if order == 1 else 0.25
@@ -220,7 +220,7 @@ def test_a_wave_that_is_alike_is_the_same_under_any_torque() -> None:
 
 @pytest.mark.parametrize("effect", ORDERS[1:])
 def test_a_line_changes_by_the_rated_torque_however_little_a_record_has(effect: Remainder) -> None:
-    """A wave of teeth that is the same at all small torques is no wave of a coupling yet."""
+    """A tooth wave that is constant over small torques is not yet a wave of a coupling."""
     little = signals(torque=np.linspace(-5.0, 5.0, INSIDE.size))
     found = [effect.columns(little, (1.0, -most, most)) for most in (5.0, 50.0)]
     assert_array_equal(*found)

@@ -1,4 +1,4 @@
-"""Replay of any bag: the same as one computation over all samples, whatever the bag looks like."""
+"""Replay of any bag equals one computation over all samples, whatever the bag's form."""
 
 import json
 import platform
@@ -39,7 +39,7 @@ Message = tuple[str, str, bytes, int]
 
 
 def samples() -> list[Message]:
-    """One joint, everything in one message, recorded a little later than it was stamped."""
+    """Messages of one joint with all signals, recorded a little after their stamps."""
     columns = zip(STAMPS.tolist(), ANGLE, OUTPUT, TORQUE, strict=True)
     every = ((s, message(s, {"a_motor": x, "a": y}, {"a": m})) for s, x, y, m in columns)
     return [("/joint_states", JOINT_STATE, data, stamp + 200_000) for stamp, data in every]
@@ -53,7 +53,7 @@ def with_writer(path: Path, messages: list[Message], **options: Any) -> Path:
 
 
 def shuffled(messages: list[Message]) -> list[Message]:
-    """Stretches of the file out of order, as several recorders' threads leave them."""
+    """Blocks of messages out of order, as the threads of several recorders leave them."""
     chance, starts = random.Random(4), range(0, len(messages), 7)
     order = sorted(starts, key=lambda start: (start // 140, chance.random()))
     return [entry for start in order for entry in messages[start : start + 7]]
@@ -70,14 +70,14 @@ WAYS = {
 
 
 def columns_of(bag: Path, topic: str) -> tuple[Any, Any]:
-    """Stamps [ns] and values, one row a message."""
+    """Stamps [ns] and values, one row per message."""
     found = angles(bag, topic)
     return np.array([stamp for stamp, _ in found]), np.array([values for _, values in found])
 
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What a replay with a given configuration writes: a log as the node's."""
+    """Log that a replay with a given configuration writes; it has the form of the node's."""
     folder = tmp_path_factory.mktemp("log")
     bag = write_with_mcap(folder / "b.mcap", samples())
     replay(bag, folder / "log", CONFIG)
@@ -98,7 +98,7 @@ def test_outputs_are_what_one_computation_gives(log: Path) -> None:
 
 
 def test_every_pair_of_arrays_has_the_stamp_of_its_sample(log: Path) -> None:
-    """A reader of the bag finds the sample by it: what the arrays hold is its mesh."""
+    """The arrays' stamps identify the sample in the bag, and the arrays are the mesh at that sample."""
     found = [content(log)[f"/hd_diag/a/{what}"] for what in ("stamp", "backlash", "load")]
     assert len({tuple(time for time, _ in messages) for messages in found}) == 1
     for (_, header), (_, backlash), (_, load) in zip(*found, strict=True):
@@ -119,7 +119,7 @@ def test_outputs_are_the_same_whatever_the_bag(tmp_path: Path, log: Path, way: s
 
 
 def test_joints_of_several_topics_that_appear_late(tmp_path: Path) -> None:
-    """Joint b is on a topic of its own and begins after a second; a third topic has nothing of them."""
+    """Joint b has its own topic and begins after a second; a third topic has neither joint."""
     rows = list(zip(STAMPS.tolist(), ANGLE, OUTPUT, strict=True))
     topic = "/arm/joint_states"
     late = [(topic, JOINT_STATE, message(s, {"b_motor": x, "b": y}), s + 100) for s, x, y in rows[1000:]]
@@ -145,14 +145,14 @@ def test_joints_of_several_topics_that_appear_late(tmp_path: Path) -> None:
 
 
 def test_a_bag_with_its_own_joint_state_is_read_by_its_own_definition(tmp_path: Path) -> None:
-    """And copied as ROS 2 Jazzy has it, which the outputs are."""
+    """It is copied in the ROS 2 Jazzy definition, which the outputs have."""
     head, _, rest = definition(JOINT_STATE).text.partition("string[] name")
     text = f"{head}float64 cycle_time\nstring[] name{rest}"
     bag = tmp_path / "b.mcap"
     with BagWriter(bag) as writer:
         writer.add_topic("/joint_states", JOINT_STATE, None, Definition(JOINT_STATE, text, "ros2msg", ""))
         for _, _, data, time in samples()[:200]:
-            # The field is aligned to 8 behind header and empty frame (16 bytes after the CDR header).
+            # The field is aligned to 8 after header and empty frame (16 bytes after the CDR header).
             writer.write("/joint_states", JOINT_STATE, data[:20] + b"\0" * 8 + data[20:], time)
     assert replay(bag, tmp_path / "out.mcap", CONFIG).rejected["a"] == 0
     found = angles(tmp_path / "out.mcap", "/hd_diag/transmission_error")
@@ -162,7 +162,7 @@ def test_a_bag_with_its_own_joint_state_is_read_by_its_own_definition(tmp_path: 
 
 
 def test_a_nodes_outputs_are_no_input(tmp_path: Path, log: Path) -> None:
-    """Under whatever name the node ran: its outputs have the joints' own names."""
+    """Outputs under any node name are recognised by the joints' own names."""
     messages = samples()
     messages += [
         (f"/left/hd_diag/{topic}", JOINT_STATE, message(s, {"a": 1e-4}, {"a": 0.0}), s + 1)
@@ -175,7 +175,7 @@ def test_a_nodes_outputs_are_no_input(tmp_path: Path, log: Path) -> None:
 
 
 def test_reports_go_on_while_a_joint_is_silent_but_not_for_days(tmp_path: Path) -> None:
-    """A silence of ten seconds is reported on; of one of two days only the last second is."""
+    """A ten-second silence is reported throughout; of a two-day silence only the last second is."""
     parts = (0, 10 * 10**9, 2 * 86_400 * 10**9)
     times = [START + part + i * MS for part in parts for i in range(1500)]
     messages = [("/joint_states", JOINT_STATE, message(s, {"a_motor": 0.1}), s) for s in times]
@@ -269,7 +269,7 @@ def test_events_of_later_versions_are_passed_over(tmp_path: Path) -> None:
 
 
 def test_a_log_that_begins_anew_is_followed(tmp_path: Path) -> None:
-    """As when logs are joined: the second beginning forgets the first's samples."""
+    """As in joined logs: the second beginning discards the first's samples."""
     other = dict(resolve(parameters("a", a__torque=2.5)).flat)
     again, late = {"event": "configuration", "new": True, "parameters": other}, START + 10**9
     made = [("/hd_diag/events", STRING, string(json.dumps(GOOD)), START), *samples()[:10]]

@@ -1,4 +1,4 @@
-"""The real node over DDS against the replay: of its own log, and of a bag that is played to it."""
+"""The real node over DDS against the replay of its own log and of a bag played to it."""
 
 import itertools
 import random
@@ -19,7 +19,7 @@ from hd_diag.messages.encoding import encode_joint_states
 from hd_diag.messages.publications import JOINT_STATE
 from hd_diag.replay.replay import replay
 
-# None of no bytes at all: Fast DDS itself then delivers nothing more from that publisher.
+# No message of zero bytes: after one, Fast DDS delivers nothing more from that publisher.
 pytestmark = pytest.mark.usefixtures("ros")
 
 HOSTILE = (
@@ -44,7 +44,7 @@ def turning(stamp: int) -> dict[str, float]:
 
 
 def feed_roughly(publisher, stamps, count: int, chance: random.Random) -> None:
-    """Publish two joints, together and apart, with messages in between that no robot should send."""
+    """Publish two joints together and separately, with invalid messages in between."""
     begin, rate = time.monotonic(), 500.0  # [Hz]
     for number in range(count):
         stamp = next(stamps)
@@ -77,7 +77,7 @@ def test_a_replay_of_the_nodes_log_is_the_same_to_the_last_bit(tmp_path: Path) -
             feed_roughly(publisher, stamps, 250, chance)
             assert all(result.successful for result in rig.set(**change))
         feed_roughly(publisher, stamps, 300, chance)
-        # A busy machine's node may be silent while samples wait.
+        # On a busy machine the node may be silent while samples wait.
         rig.values("b", lambda v: int(v["samples"]) > 1500 and float(v["silence_s"]) > 0.2)
         assert rig.process.end(signal.SIGINT) == 0
     result = replay(log, tmp_path / "again")
@@ -93,14 +93,14 @@ def test_a_replay_of_the_nodes_log_is_the_same_to_the_last_bit(tmp_path: Path) -
 
 
 def test_samples_come_before_arrays_and_the_replay_thins_out_alike(tmp_path: Path) -> None:
-    """A node that was stopped for a while has much to do: all samples are taken, few arrays published."""
+    """After a stop the node takes all samples but publishes few arrays."""
     joints, count = [f"j{number}" for number in range(7)], 600
     given = with_log(tmp_path / "log", *joints, overwrite=True)
     with running(tmp_path, given | {"mesh_rate": 60.0, "array_rate": 280.0}) as rig:
         publisher, stamps = rig.publisher(), itertools.count(START, 4 * MS)
 
         def recovers(values: dict[str, str]) -> bool:
-            """Twice as many every second, until it is all again."""
+            """The share of arrays doubles every second until it is complete."""
             shares = [float(values_of(array.status[-1])["array_share"]) for array in rig.reports]
             return values["samples"] == str(count) and min(shares) < shares[-1]
 
@@ -123,7 +123,7 @@ STEP = round(1e9 / RATE)  # [ns]
 
 
 def recorded(path: Path, seconds: float = 3.0) -> int:
-    """A bag as a recorder writes it: log times a little after the stamps; the number of samples."""
+    """Write a bag with log times a little after the stamps; returns the number of samples."""
     stamps = START + STEP * np.arange(round(seconds * RATE))
     columns = [list(turning(int(stamp)).values()) for stamp in stamps]
     efforts = np.tile([0.0, 1.5, 0.0, -1.0], (stamps.size, 1))
@@ -160,9 +160,9 @@ def test_a_bag_played_live_equals_its_replay(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_a_killed_node_loses_less_than_a_second(tmp_path: Path, seed: int) -> None:
-    """What others have received of it half a second before its last report is in the log, and all before."""
+    """Samples that others received at least half a second before the last report are in the log."""
     log, chance = tmp_path / "log", random.Random(seed)
-    given = with_log(log, "a", "b", overwrite=True, sync_period=0.0)  # no disk has to answer
+    given = with_log(log, "a", "b", overwrite=True, sync_period=0.0)  # does not depend on the disk
     with running(tmp_path, given) as rig:
         (errors,) = rig.hear({"hd_diag/transmission_error": JointState}).values()
         publisher, stamps = rig.publisher(), itertools.count(START, 2 * MS)

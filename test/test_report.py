@@ -1,4 +1,4 @@
-"""The numbers of a report and its page: the diagnosis's own; nothing out of a bag acts on the page."""
+"""Numbers and page of a report: the diagnosis's own; nothing in a bag acts on the page."""
 
 import dataclasses
 import json
@@ -50,7 +50,7 @@ EACH = pytest.mark.parametrize("name", ["output_runout", OTHER])
 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a page says beside its pictures, which take two seconds; such ones are drawn in other tests."""
+    """Leave out the pictures of a page, which take two seconds; other tests draw them."""
     monkeypatch.setattr("hd_diag.report.page.inline_svg", lambda *_, **__: "")
 
 
@@ -63,10 +63,10 @@ def judged(name: str) -> Judgement | None:
 
 @EACH
 def test_the_ladder_s_rungs_lead_down_to_the_noise(name: str) -> None:
-    """They hold out other data than the diagnosis does: its own figures are within a fifth."""
+    """The ladder holds out other data than the diagnosis: their figures agree within a fifth."""
     found, rms = judged(name), diagnosis(name).rms
     nominal, refitted, named, extended = found.ladder
-    for compared in (found.over_angle, found.over_torque):  # over the very same samples
+    for compared in (found.over_angle, found.over_torque):  # over the same samples
         assert list(compared.simulated) == ["as configured", "refitted", "extended"]
         assert compared.measured.samples.sum() == compared.samples
         for residual in compared.residual.values():
@@ -84,7 +84,7 @@ def test_the_ladder_s_rungs_lead_down_to_the_noise(name: str) -> None:
 
 @pytest.mark.parametrize("name", [OTHER])
 def test_the_order_of_a_cause_is_marked(name: str) -> None:
-    """An off-centre input encoder is order 1 of a wave generator that turns with it."""
+    """An off-centre input encoder is order 1 of the wave generator, which turns with the input."""
     found, (mark,) = judged(name), judged(name).marks
     assert (mark.name, mark.order) == (words(name), pytest.approx(1.0, abs=0.01))
     amplitude = float(np.std(records.added_by(made(name), name)))
@@ -96,7 +96,7 @@ def test_the_order_of_a_cause_is_marked(name: str) -> None:
 
 @EACH
 def test_stiffness_is_that_of_the_drive_that_made_the_record(name: str) -> None:
-    """Measured and fitted within each other's reach: 10 % where teeth come into contact, 5 % beyond."""
+    """Measured and fitted stiffness agree: within 10 % where teeth come into contact, 5 % beyond."""
     for entry, reach in zip(joint_report(name).torsion.stiffness, (0.1, 0.05, 0.05), strict=True):
         if np.isfinite(entry.measured):
             assert entry.measured_low < entry.measured < entry.measured_high
@@ -105,7 +105,7 @@ def test_stiffness_is_that_of_the_drive_that_made_the_record(name: str) -> None:
 
 
 def test_cards_are_sorted_by_size_and_leave_out_what_may_be_nothing() -> None:
-    """A harmonic below two standard deviations is not on its card; a cause without any has none."""
+    """A harmonic below two standard deviations is not on the card; a cause without any other has no card."""
     found, told = diagnosis("output_runout"), judged("output_runout").cards
     alike = {"output runout", "output encoder eccentricity"}
     hidden = next(card for card in told if card.title.lower() in alike)
@@ -145,7 +145,7 @@ def test_what_to_do_stands_first_then_how_bad_the_joint_is(undrawn: None) -> Non
 
 
 def test_what_is_usual_asks_for_nothing(undrawn: None) -> None:
-    """A loop as catalogues allow it, and an eccentricity within all limits: cards without an instruction."""
+    """A loop as in catalogues and an eccentricity within all limits have cards without instructions."""
     made = dataclasses.replace(diagnosis("output_runout"), findings=())
     loop = cause_of("hysteresis")
     sizes = {"coefficients": np.full(loop.coefficients.size, 5.0 * ARCSEC)}
@@ -187,7 +187,7 @@ def test_stiffness_stands_beside_that_of_the_page_between_its_t1_and_t2(undrawn:
     assert "K2, 2 to 6.9 N m" in shown
     config = resolve({})
     assert 'data-name="page"' not in page([of_motion(motion, config.joints[0], config.flat, "nothing")], [])
-    # With the same number of digits in small gears and in large ones.
+    # Small and large gears have the same number of digits.
     assert [k_shown(k) for k in (512.0, 2.55e4, 3.0e4, 25.34e4)] == ["0.0512", "2.55", "3.00", "25.3"]
 
 
@@ -200,7 +200,7 @@ def test_the_eccentricity_s_card_tells_what_a_dial_gauge_reads() -> None:
     assert told["dial gauge, total travel"] == pytest.approx(2e6 * size, abs=0.06)
     direction = told["direction, from slot 0"]
     assert direction == pytest.approx(np.degrees(turned) % 180.0, abs=0.6)
-    # The long axis turns against the input, and stands on slot 0 at input angle zero.
+    # The long axis turns opposite to the input and stands on slot 0 at input angle zero.
     assert told["input angle with the long axis there"] == pytest.approx(-direction % 180.0, abs=0.6)
     assert all("modulo 180°" in value for name, value in card.measures if "direction" in name)
 
@@ -238,7 +238,7 @@ def test_settings_are_told_with_their_units() -> None:
 
 
 def test_a_wrong_ratio_is_all_that_is_said_first() -> None:
-    """Nothing was fitted: one card, one stage, no ladder; and the page stands."""
+    """Nothing was fitted: the page exists, with one card, one stage and no ladder."""
     given = columns(seconds=6.0)
     record, own = prepared(given | {"output": -given["output"]}), configured().joints[0].drive
     wrong = diagnose(record, own, np.random.default_rng(0))
@@ -253,16 +253,16 @@ def test_a_wrong_ratio_is_all_that_is_said_first() -> None:
 
 
 def test_a_joint_that_is_eccentric_and_no_more(undrawn: None) -> None:
-    """The card's size is what the displacement does to the error; without a cause no stage is extended."""
+    """The card's size is the displacement's effect on the error; without a cause no stage is extended."""
     found = eccentric()
     judgement = report_of(found).judgement
     (card,) = judgement.cards
     assert card.title == "Eccentricity of the wave generator in the housing"
     motion = found.record.input_angle, found.record.torque
     added = transmission_error(TRUE, *motion) - transmission_error(CONFIGURED, *motion)
-    assert card.size == pytest.approx(np.std(added), rel=0.04)  # a line of order 2 may have a part of it
+    assert card.size == pytest.approx(np.std(added), rel=0.04)  # a line of order 2 may take a part of it
     assert list(judgement.orders) == ["as configured", "refitted"]
-    # A meter is yellow between its marks: from nothing to its end where the limit is too near to tell.
+    # A meter is yellow from low to high: over its whole length if the limit is too near to judge.
     near = tuple(gauge._replace(state="near") for gauge in judgement.gauges)
     told = dataclasses.replace(report_of(found), judgement=dataclasses.replace(judgement, gauges=near))
     read = Markup(page([told], SOURCES))
@@ -271,7 +271,7 @@ def test_a_joint_that_is_eccentric_and_no_more(undrawn: None) -> None:
 
 
 def test_a_bearing_that_slips_has_its_order_marked() -> None:
-    """A fit carries more columns of it than the cause keeps coefficients."""
+    """The fit has more columns for it than the cause keeps coefficients."""
     bearing = EFFECTS["bearing_passage"]
     fitted = bench(lambda signals: 2e-5 * np.cos(2.6 * signals.wave_generator_angle))
     (cause,) = (whole := solved(fitted, (bearing, (2.6, 1.0)))).causes
@@ -282,7 +282,7 @@ def test_a_bearing_that_slips_has_its_order_marked() -> None:
 
 
 def test_a_record_without_torque_has_no_measured_stiffness(undrawn: None) -> None:
-    """And what no cause explains stands on its page in words where it has no period."""
+    """An unexplained part without a period is described in words on the page."""
     given = {name: column for name, column in columns(seconds=10.0).items() if name != "torque"}
     record = prepared(given, assumed_torque=30.0)
     slow = Unexplained(0.0, "input", 1e-5, "none", "none", "wanders", "forwards")
@@ -307,10 +307,10 @@ def section(text: str, number: int = 1) -> str:
 def test_equal_numbers_give_an_equal_small_page() -> None:
     text = hostile_page()
     parts = (section(text, number).replace(f"joint{number}", "joint") for number in (1, 2))
-    # Terms are explained once, and linked where they come first.
+    # Terms are explained once and linked at their first use.
     first, again = (re.sub(r'<a class="term"[^>]*>|</a>|<h3>Words (?s:.*?)</dl>\n', "", p) for p in parts)
     assert first == again
-    assert len(text.encode()) < 2 * 450_000  # so that seven joints stay near 3 MB
+    assert len(text.encode()) < 2 * 450_000  # seven joints stay near 3 MB
     text, found = Markup(text).text, diagnosis("output_runout")
     rms = map(arcsec, (found.rms.nominal, found.rms.refit, found.rms.extended, found.rms.noise))
     tested = (part for test in found.testable for part in (words(test.name), test.reason))
@@ -359,7 +359,7 @@ def test_text_of_a_bag_does_nothing_on_the_page() -> None:
 
 
 def test_a_bag_without_output_gets_the_model_s_side(tmp_path: Path) -> None:
-    """The JSON says why; and a name in it that wants to be markup is told as it is."""
+    """The JSON gives the reason, and a hostile name in the bag is shown as plain text."""
     bag, out, told = tmp_path / "<b>bag.mcap", tmp_path / "page.html", tmp_path / "a.json"
     without_output(bag, HOSTILE)
     config = config_file(tmp_path, input_joint=f"{HOSTILE}_motor", output_joint=HOSTILE)
@@ -370,7 +370,7 @@ def test_a_bag_without_output_gets_the_model_s_side(tmp_path: Path) -> None:
     assert {tag for tag, _ in read.tags} & {"script", "img"} == set()
     parts = ("Cannot be judged: no input angle", "<b>bag.mcap", "Measured against simulated")
     assert [part in read.text for part in parts] == [True, True, False]
-    assert len(read.all("svg")) == 4  # one of them the torque over position
+    assert len(read.all("svg")) == 4  # including the torque over position
     assert not list(tmp_path.glob(".*"))
     found = json.loads(told.read_text())
     assert (found["schema"], found["joint"]) == ("hd_diag/not_judged/1", "joint_1")
@@ -394,7 +394,7 @@ def test_a_bag_that_goes_while_it_is_judged_loses_nothing(tmp_path: Path) -> Non
 def test_both_verbs_write_what_they_say(
     monkeypatch: pytest.MonkeyPatch, undrawn: None, tmp_path: Path
 ) -> None:
-    """Of a bag or a table, which give the same record; both write the same JSON, but for the file."""
+    """Bag and table give the same record; both verbs write the same JSON, except for the file."""
     asked = known_to_the_command_line(monkeypatch, "output_runout")
     bag, table, out = (tmp_path / name for name in ("j.mcap", "bench.csv", "a.html"))
     records.write_bag(made("output_runout"), bag)
@@ -424,7 +424,7 @@ def test_both_verbs_write_what_they_say(
 def test_a_joint_that_the_bag_lacks_does_not_stop_the_others(
     verb: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Told on stderr and in the JSON; the page has the others, and the exit code says that one is missing."""
+    """Stderr, JSON and exit code report the missing joint; the page has the others."""
     known_to_the_command_line(monkeypatch, "output_runout")
     monkeypatch.setattr("hd_diag.report.page.page", lambda reports, *_: str([each.said for each in reports]))
     bag, out, told = tmp_path / "joint.mcap", tmp_path / "page.html", tmp_path / "told.json"

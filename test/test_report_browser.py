@@ -1,4 +1,4 @@
-"""The report's page in Chromium: what a reader on a phone, at a desk or with a printer gets."""
+"""The report's page in Chromium, for readers with a phone, a desktop or a printer."""
 
 import base64
 import re
@@ -46,7 +46,7 @@ def test_such_faults_are_seen(browser: Any, tmp_path: Path) -> None:
 
 
 def test_the_numbers_of_a_ladder_lie_free_of_its_marks(browser: Any, tmp_path: Path) -> None:
-    """Also where data that no fit saw fit worse than all stretches; and a gear without load has a scale."""
+    """Also if held-out data fit worse than all stretches; a gear without load has a scale, too."""
     rungs = [
         Rung(name, k * ARCSEC, 0.95 * k * ARCSEC, 1.05 * k * ARCSEC) for name, k in (("a", 40), ("b", 5))
     ]
@@ -78,7 +78,7 @@ def test_letters_in_pictures_can_be_read_on_a_phone(browser: Any, hostile: str) 
 
 
 def test_the_policy_stops_a_script_that_got_in_all_the_same(browser: Any, tmp_path: Path) -> None:
-    """The second line of defence, tried with the first one taken away."""
+    """The second line of defence, tested without the first."""
     bad = "<script>document.title = 'taken'</script><img src=x onerror=\"document.title = 'taken'\">"
     path = tmp_path / "page.html"
     path.write_text(hostile_page().replace("<main>", f"<main>{bad}"), encoding="utf-8")

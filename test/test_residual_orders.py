@@ -1,4 +1,4 @@
-"""Orders of the residual while a joint runs: which repeat, which do not; records of the other generator."""
+"""Orders of the residual while a joint runs: which repeat, which do not; also on independent records."""
 
 import dataclasses
 import itertools
@@ -23,7 +23,7 @@ TIME = STEP * np.arange(30_000)
 
 
 def fed(angle: np.ndarray, residual: np.ndarray, torque: float | np.ndarray = 1.0) -> dict[str, Order]:
-    """The orders that a motion of these angles, one each 2 ms, shows."""
+    """Orders found in samples with these angles [rad], one every 2 ms."""
     stamp = START + np.round(STEP * 1e9 * np.arange(angle.size)).astype(np.int64)
     load = np.broadcast_to(torque, angle.shape).astype(np.float64)
     orders = ResidualOrders()
@@ -32,7 +32,7 @@ def fed(angle: np.ndarray, residual: np.ndarray, torque: float | np.ndarray = 1.
 
 
 def samples(*columns: np.ndarray) -> np.ndarray:
-    """Of joint 0: stamps, angles of input and output, torques, residuals."""
+    """Samples of joint 0: stamps, input and output angles, torques, residuals."""
     made = np.zeros(columns[0].size, SAMPLE)
     names = "stamp", "input_angle", "output_angle", "torque", "residual"
     for name, column in zip(names, columns, strict=True):
@@ -41,7 +41,7 @@ def samples(*columns: np.ndarray) -> np.ndarray:
 
 
 def noise(seed: int, size: float) -> np.ndarray:
-    """White and slow, of an rms [rad] each."""
+    """White noise plus slow noise, each with this rms [rad]."""
     white, steps = np.random.default_rng(seed).standard_normal((2, TIME.size))
     return size * (white + lfilter([np.sqrt(1.0 - 0.97**2)], [1.0, -0.97], steps))
 
@@ -53,7 +53,7 @@ def test_orders_are_told_apart_and_forgotten() -> None:
     early, late = (fed(angle[:n], wave[:n]) for n in (30_000, 60_000))
     assert early["input 2"].amplitude == pytest.approx(3.0, rel=1e-3)
     assert early["input 1"].amplitude < 0.01
-    recent = (1.0 - np.exp(-2.0)) / (1.0 - np.exp(-4.0))  # weight of the second of two minutes' halves
+    recent = (1.0 - np.exp(-2.0)) / (1.0 - np.exp(-4.0))  # weight of the second minute of two
     assert late["input 2"].amplitude == pytest.approx(3.0 * (1.0 - recent), rel=0.02)
     assert late["input 1"].amplitude == pytest.approx(recent, rel=0.005)
     assert (early["input 2"].repeats, late["input 1"].repeats, late["input 2"].repeats) == (True, True, False)
@@ -62,7 +62,7 @@ def test_orders_are_told_apart_and_forgotten() -> None:
 @pytest.mark.parametrize("speed", [0.8, 3.0, 20.0])
 @pytest.mark.parametrize("order", [1, 2, 4])
 def test_amplitude_and_phase_are_within_their_deviation(order: int, speed: float) -> None:
-    """Of 8 in noise of 7, at speeds [turns/s]; the deviation is that of a mean over the windows."""
+    """Amplitude 8 in noise of rms 7, at speeds [turns/s]; ``std`` is that of a mean over the windows."""
     angle = TURN * speed * TIME + 0.4
     wave = 8.0 * np.cos(order * angle - 1.1)
     found = [fed(angle, wave + noise(seed, 5.0))[f"input {order}"] for seed in range(4)]
@@ -77,11 +77,11 @@ def test_rest_is_not_motion() -> None:
     angle = np.where(TIME < 20.0, 50.0 * TIME, 1000.0)
     moving = TIME <= 20.0
     wave = np.cos(2.0 * angle)
-    assert str(fed(angle, wave)) == str(fed(angle[moving], wave[moving]))  # in which a nan is a nan
+    assert str(fed(angle, wave)) == str(fed(angle[moving], wave[moving]))  # as text: nan differs from nan
 
 
 def test_orders_that_the_motion_does_not_show_are_left_out() -> None:
-    """Nor are those that a sender shows which breaks off each half turn."""
+    """A sender that breaks off every half turn shows no orders either."""
     time = TIME[:3000]
     found = fed(20.0 * time, np.cos(40.0 * time))
     assert "output 1" not in found
@@ -95,7 +95,7 @@ def test_orders_that_the_motion_does_not_show_are_left_out() -> None:
 
 
 def test_the_sides_that_the_torque_loads_are_followed_apart() -> None:
-    """An eccentricity's order turns by half a period with the torque: over both it would cancel."""
+    """An eccentricity's order shifts by half a period with the torque's sign; a common mean would cancel."""
     angle = 40.0 * TIME
     side = np.where(np.floor(TIME / 5.0) % 2 == 0, 1.0, -1.0)
     found = fed(angle, 5.0 * side * np.cos(2.0 * angle), 20.0 * side)["input 2"]
@@ -105,7 +105,7 @@ def test_the_sides_that_the_torque_loads_are_followed_apart() -> None:
 
 @pytest.mark.parametrize("cuts", [(1, 2, 700, 701, 15_000), tuple(range(250, 30_000, 256))])
 def test_samples_in_pieces_are_samples_together(cuts: tuple[int, ...]) -> None:
-    """To the last bit, what is remembered too."""
+    """Bit for bit, including the state."""
     angle = strokes(8.3)
     columns = START + 2_000_000 * np.arange(TIME.size), angle, angle / RATIO, np.sin(TIME), noise(3, 1.0)
     given = samples(*columns)
@@ -118,7 +118,7 @@ def test_samples_in_pieces_are_samples_together(cuts: tuple[int, ...]) -> None:
 
 
 def strokes(turns: float, speed: float = 3.0) -> np.ndarray:
-    """Angles of a robot that goes to and fro between two rests [rad]."""
+    """Angles [rad] of a robot that moves to and fro between two rests."""
     phase = TIME * speed / (2.0 * turns) % 1.0
     way = np.minimum(2.0 * phase, 2.0 - 2.0 * phase)
     return np.asarray(TURN * turns * way**3 * (10.0 - 15.0 * way + 6.0 * way**2) + 1.3)
@@ -126,7 +126,7 @@ def strokes(turns: float, speed: float = 3.0) -> np.ndarray:
 
 @pytest.mark.parametrize("turns", [1.2, 2.0, 3.0, 8.3])
 def test_a_torque_that_comes_back_with_the_motion_does_not_repeat(turns: float) -> None:
-    """Its error of stiffness, 48 arcsec where a stroke begins and ends, is at the same angles each time."""
+    """A stiffness error, 48 arcsec at both ends of a stroke, comes back at the same angles each time."""
     angle = strokes(turns)
     push = np.gradient(np.gradient(angle))
     push /= np.abs(push).max()
@@ -137,7 +137,7 @@ def test_a_torque_that_comes_back_with_the_motion_does_not_repeat(turns: float) 
 JOLT = np.where(np.abs(TIME - 55.0) < 0.4, 500.0 * np.cos(80.0 * TIME), 0.0)
 
 
-# With the flexspline, twice as fast, and one that is not followed.
+# Orders of the flexspline, of twice its speed, and one that is not followed.
 WAVES = [(20.0 * np.cos(order * 40.0 * TIME), 1.0) for order in (2.02, 4.04, 3.0)]
 WAVES += [(JOLT, 0.0), *((noise(seed, 20.0), 0.0) for seed in range(3))]
 
@@ -150,9 +150,9 @@ def test_another_wave_is_not_taken_for_an_order_of_these(wave: np.ndarray, least
 
 
 def reports(record: Record) -> list[Status]:
-    """What a monitor of the drive as configured says of a record, once a second."""
+    """Status messages, one per second, of a monitor with the drive as configured for a record."""
     monitor = Monitor(config(array_rate=0.0))
-    assert monitor.use_map("joint_1", map_of_two())  # of the same drive
+    assert monitor.use_map("joint_1", map_of_two())  # of a drive that is the same
     stamp = START + np.rint(record.time * 1e9).astype(np.int64)
     torque = np.full(stamp.size, np.nan) if record.torque is None else record.torque
     position = np.stack((record.input_angle, record.output_angle), axis=1)
@@ -166,7 +166,7 @@ def reports(record: Record) -> list[Status]:
 
 @pytest.mark.parametrize("moves", [pytest.param("standard", marks=pytest.mark.slow), "one_direction"])
 def test_an_eccentric_joint_is_named_within_a_minute(moves: str) -> None:
-    """18 um that nobody configured, in noise of 3 arcsec rms; the residual's rms is below its own limit."""
+    """18 um that are not configured, noise of 3 arcsec rms; the residual's rms stays below its own limit."""
     rng = np.random.default_rng(5)
     base = dataclasses.replace(NOMINAL, e=18e-6, psi=0.7)
     said = reports(records.simulate(base, (), getattr(motion, moves)(rng), rng))
@@ -204,7 +204,7 @@ def test_no_order_of_a_faultless_joint_is_named(moves: str, recording: Recording
 
 
 def test_the_limit_goes_with_the_accuracy_and_a_large_eccentricity() -> None:
-    """Of a configured eccentricity the prediction itself is wrong by a part."""
+    """The prediction itself is inaccurate by a share of a configured eccentricity's effect."""
 
     def limit(**given: float) -> float:
         (joint,) = config(**{f"joint_1__{name}": value for name, value in given.items()}).joints
@@ -215,5 +215,5 @@ def test_the_limit_goes_with_the_accuracy_and_a_large_eccentricity() -> None:
     assert limit(eccentricity__magnitude=18e-6) == 5e-5
     assert limit(eccentricity__magnitude=60e-6) == pytest.approx(9.5e-5, rel=0.02)
     assert limit(eccentricity__magnitude=60e-6, limits__residual_order__warn=1e-5) == 1e-5
-    predicted = 70.0 * ARCSEC  # the largest amplitude of order 2 of 60 um, at the rated torque (brute force)
+    predicted = 70.0 * ARCSEC  # largest amplitude of order 2 for 60 um, at the rated torque (brute force)
     assert limit(eccentricity__magnitude=60e-6) == pytest.approx(0.25 * predicted, rel=0.2)

@@ -1,4 +1,4 @@
-"""Ripple of a torque over position, on records of an independent generator, and what says it."""
+"""Ripple of a torque over position, on records of an independent generator, and its messages."""
 
 import json
 import math
@@ -65,7 +65,7 @@ def test_a_record_without_ripple_shows_none(seeds: range) -> None:
 
 
 def test_lines_of_another_ratio_are_seen_and_asked_about() -> None:
-    # The flexspline's own teeth: over more than half a turn both are a whole period apart.
+    # Teeth of the flexspline: over more than half a turn the two orders differ by a whole period.
     assert names(found([record(3, [Line(202.0, 0.2, 1.0)])])) == [(202.0, False)]
     seen = found([record(3, [Line(240.0, 0.3, 1.0)])])
     assert names(seen) == []
@@ -90,7 +90,7 @@ def test_records_tell_whether_a_line_repeats() -> None:
 
 
 def test_a_vibration_is_no_line() -> None:
-    """A wave in time, at the frequency of the second order at the usual speed."""
+    """A wave in time with the frequency of the second order at the usual speed."""
     made = record(3)
     usual = float(np.median(np.abs(made.speed[np.abs(made.speed) > 0.1])))
     shaken = made.torque + 0.3 * np.cos(200.0 * usual * made.time)
@@ -136,7 +136,7 @@ def test_the_verb_tells_lines_and_writes_them(one_angle: Path, hidden: Ripple, t
 
 
 def test_tables_and_mapped_signals_serve_as_well(one_angle: Path, tmp_path: Path) -> None:
-    """A current in milliampere, an angle in degrees; the motor's angle times the ratio."""
+    """Current in milliampere, angle in degrees; also the motor's angle, which is the ratio times it."""
     made, told = record(3, [LOBES, BRAKE]), list[str]()
     degrees = {"t": made.time, "q": np.degrees(made.angle), "i": made.torque / 11.2 * 1e3}
     motor = {"t": made.time, "m": RATIO * made.angle, "tau": made.torque}

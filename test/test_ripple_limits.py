@@ -1,4 +1,4 @@
-"""What a record of a torque cannot hold: waves that a filter takes off; and a torque that is late."""
+"""Limits of a torque record: waves that a filter removes, and a late torque."""
 
 import math
 import re
@@ -42,7 +42,7 @@ def moving_average(values: Array, corner: float, rate: float) -> Array:
 
 
 def moved(speed: float, rate: float, seed: int, noise: float = 0.05) -> tuple[Array, Array, Array]:
-    """Time, angle and torque of moves to and fro: gravity, friction, a line, white noise of the sensor."""
+    """Time, angle and torque of moves to and fro: gravity, friction, a line, white sensor noise."""
     rng = np.random.default_rng(seed)
     time = np.arange(0.0, 24.0 / speed, 1.0 / rate)
     turn = np.sin(2.0 * np.pi * speed * time / 4.0)
@@ -59,7 +59,7 @@ def seen(time: Array, angle: Array, torque: Array, record: Array | None = None) 
 
 
 def is_honest(told: Ripple) -> bool:
-    """Whether what is said of the line covers the truth: a size, a bound, or that it cannot be seen."""
+    """Whether the statement on the line covers the truth: a size, a bound, or that it is invisible."""
     if ORDER in {one.order for one in told.unseen}:
         return all(line.filtered for line in told.lines if line.order == ORDER)
     (line,) = [line for line in told.lines if (line.order, line.reverses) == (ORDER, False)]
@@ -98,7 +98,7 @@ def test_what_a_filter_takes_off_is_not_denied(case: tuple, speed: float) -> Non
 
 @pytest.mark.parametrize("filtered", [first_order, second_order, without_phase])
 def test_a_line_in_the_band_of_a_filter_is_found(filtered: Filter) -> None:
-    """0.02 rad/s: at 200 per turn 0.64 Hz of 5."""
+    """At 0.02 rad/s a line of 200 per turn has 0.64 Hz, below the corner of 5 Hz."""
     time, angle, torque = moved(0.02, 125.0, 2)
     told = seen(time, angle, filtered(torque, 5.0, 125.0))
     line = told.found[0]
@@ -116,7 +116,7 @@ def test_white_noise_of_a_sensor_is_no_filter(noise: float, count: float, rate: 
     torque = count * np.rint(torque / count) if count else torque
     told = seen(time, angle, torque)
     assert told.corner == math.inf
-    assert {one.order for one in told.unseen} <= {400.0}  # 32 Hz: too fast for 125 samples a second
+    assert {one.order for one in told.unseen} <= {400.0}  # 32 Hz is too fast for 125 samples per second
     assert told.delay is None
     assert is_honest(told)
     assert [line.order for line in told.found] == [ORDER]
@@ -135,7 +135,7 @@ def test_a_line_that_a_filter_has_left_is_said_to_be_larger() -> None:
 def recordings(
     speeds: Sequence[float], phases: Sequence[float], delay: float, ways: Sequence[float] = (1.0,)
 ) -> tuple[Array, ...]:
-    """Rows of recordings at even speeds [rad/s], whose torque is late [s]."""
+    """Rows of recordings at constant speeds [rad/s] with a torque delay [s]."""
     rng, rate = np.random.default_rng(5), 500.0
     parts = []
     for number, (speed, phase) in enumerate(zip(speeds, phases, strict=True)):
@@ -174,9 +174,9 @@ def test_a_late_torque_is_said_and_its_lines_repeat(delay: float, ways: tuple[fl
 @pytest.mark.parametrize("count", [3, 4, 6])
 @pytest.mark.parametrize("seed", [0, 1, *(pytest.param(one, marks=pytest.mark.slow) for one in range(2, 6))])
 def test_no_delay_makes_phases_repeat_that_do_not(count: int, seed: int) -> None:
-    """Of a few recordings some fall together by chance: a line repeats where its own phases do, only there.
+    """A few phases may agree by chance: a line repeats exactly where its own phases agree.
 
-    A line repeats from a mean phase vector of 0.8 on; the next below is 0.67, far from what noise does to it.
+    A line repeats if its mean phase vector exceeds 0.8; the next lower one is 0.67, far beyond the noise.
     """
     phases = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, count)
     told = seen(*recordings(SPEEDS[:count], phases.tolist(), 0.0))

@@ -1,4 +1,4 @@
-"""Ratios from a robot's description: both forms of transmissions, hostile XML, what topics makes of them."""
+"""Ratios from a robot's description: both forms of transmissions, hostile XML, messages of topics."""
 
 import json
 import re
@@ -84,7 +84,7 @@ def test_what_is_no_description_is_refused_in_one_line(what: str, tmp_path: Path
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An elbow whose angles have a ratio of 100, as ros2_control reports them, and a description."""
+    """Bag of an elbow with ratio 100 in ros2_control messages, and its description."""
     messages, folder = Messages(DYNAMIC), tmp_path_factory.mktemp("b")
     states = robots.dynamic_states(messages, columns(seconds=6.0))
     plain, path = messages.write(folder / "a.mcap", "/d", states), folder / "b.mcap"
@@ -114,9 +114,9 @@ def test_the_bag_s_own_description_gives_the_ratio(bag: Path, tmp_path: Path) ->
 
 
 def test_ratios_that_contradict_are_warnings(bag: Path, tmp_path: Path) -> None:
-    """The angles and the configuration, each against a description that has another ratio.
+    """Angles and configuration each contradict the description's ratio.
 
-    What the angles have is to paste, and the check of a configuration takes it.
+    The proposed mapping has the angles' ratio, and the check of a configuration accepts it.
     """
     file, config = tmp_path / "arm.urdf", tmp_path / "arm.yaml"
     file.write_text(CONTROL.format(160))
@@ -133,7 +133,7 @@ def test_ratios_that_contradict_are_warnings(bag: Path, tmp_path: Path) -> None:
 
 
 def test_what_the_check_of_a_configuration_asks_for_stands_above_what_is_to_paste(tmp_path: Path) -> None:
-    """Of a ratio of the angles and the description that the example drive's teeth have not."""
+    """Angles and description have a ratio that the example drive's teeth do not have."""
     plain, file = tmp_path / "a.mcap", tmp_path / "arm.urdf"
     given = columns(seconds=6.0)
     given["output"] = given["output"] / 1.6

@@ -1,4 +1,4 @@
-"""Search for causes by evidence: which are named on small records, and what is no cause."""
+"""Search for causes by evidence: causes named on small records, and signals that are no cause."""
 
 import dataclasses
 from typing import Any, NamedTuple
@@ -37,14 +37,14 @@ CENTRED = fit_parameters.vector(CONFIGURED, CONFIGURED)
 
 
 class Search(NamedTuple):
-    """What was found, and which of it is named: classes by the cause's name."""
+    """Solution of a search, and the named causes, each with its class of alternatives."""
 
     whole: Solution
     named: dict[str, tuple[str, ...]]
 
 
 def searched(*starts: LinearisedFit) -> Search:
-    """On the rows of the first start, which are all."""
+    """Search from these starts; the first start covers all rows."""
     found = search([*starts], starts[0], np.random.default_rng(0))
     standing = standings(found)
     whole = with_table(solution(found.best, standing, np.random.default_rng(0)))
@@ -57,7 +57,7 @@ def wave(order: float, size: float = 3.0) -> Part:
 
 
 def told(record: Record, torque: np.ndarray, **changes: Any) -> Record:
-    """With another torque as reported."""
+    """The record with another reported torque."""
     return dataclasses.replace(record, torque=torque, reported_torque=torque, **changes)
 
 
@@ -113,7 +113,7 @@ def counting(output_step: float, input_step: float = 0.0) -> LinearisedFit:
 
 
 def arm(*parts: Part) -> LinearisedFit:
-    """Whose weight makes the torque: it goes with the output's position."""
+    """Fit of a joint that carries a weight: its torque follows the output's position."""
     record = swinging()
     return bench(*parts, record=moved(record, 40.0 * np.cos(record.input_angle / RATIO + 0.6)))
 
@@ -161,7 +161,7 @@ NONE = {
 }
 
 
-# Those of each that take long are slow.
+# Slow cases.
 SLOW = {"pitch", "a slot", "oval and zero", "friction", "viscous", "off centre", "one direction"}
 SLOW |= {"beside the gear's", "wear", "beat", "counts of the input"}
 
@@ -177,7 +177,7 @@ def cases(names: dict[str, object]) -> list[object]:
 
 @pytest.mark.parametrize("name", cases(CAUSES))
 def test_a_cause_is_named_and_no_other(name: str) -> None:
-    """It leads its class, or where a record cannot tell is in it with those that it might be."""
+    """The named class contains the cause; it has alternatives if the record cannot distinguish them."""
     made, causes = CAUSES[name]
     found = searched(made())
     classes = [{*alike} for alike in found.named.values()]
@@ -192,14 +192,14 @@ def test_what_is_no_cause_is_not_named(name: str) -> None:
 
 
 def test_lines_of_the_output_are_described() -> None:
-    """Of orders that no bearing of the wave generator has."""
+    """Their orders belong to no bearing of the wave generator."""
     table = searched(bench(wave(62.0), wave(87.0))).whole.table
     assert sorted((row.order, row.frame) for row in table) == [(62.0, "output"), (87.0, "output")]
     assert [row.amplitude / ARCSEC for row in table] == pytest.approx([3.0, 3.0], rel=0.1)
 
 
 def test_a_term_whose_columns_go_with_the_rows_moves_to_others() -> None:
-    """A creep has a constant for each stretch: on rows of another record there may be more of them."""
+    """A creep has a constant for each stretch, and rows of another record may have more stretches."""
     record = swinging()
 
     def cut(parts: int) -> LinearisedFit:
@@ -228,7 +228,7 @@ def test_the_cause_is_first_and_what_is_chosen_is_no_candidate() -> None:
 
 
 def test_nonlinear_values_are_fitted_before_blocks_are_asked() -> None:
-    """At the nearest natural frequency of the grid they do not foretell a resonance that is there."""
+    """At the nearest grid frequency a real resonance does not yet predict the held-out blocks."""
     at = begun(bench(shaped("resonance", [3.0 * ARCSEC, 0.0, 1.0], (2.0, 55.0, 0.02))))
     first, *_ = candidates(at)
     assert first.name == "resonance"
@@ -239,14 +239,14 @@ def test_nonlinear_values_are_fitted_before_blocks_are_asked() -> None:
 
 
 def instead_of(monkeypatch: pytest.MonkeyPatch, seeming: Set) -> None:
-    """Nothing else is a candidate, and what is left of a set without a cause is this one."""
+    """Offer no other candidate; a set without a cause becomes the given set."""
     monkeypatch.setattr(module, "candidates", lambda one: [])
     monkeypatch.setattr(Set, "without", lambda now, name: seeming)
     monkeypatch.setattr(Set, "settled", lambda now, rounds=0: now)
 
 
 def test_of_two_sets_neither_gives_way_to_the_other_and_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With noise learned beside each the other one may seem better: a better set is so by either noise."""
+    """Each set may seem better by its own noise model, so a better set must be better by both."""
     at = begun(bench(OVAL))
     found, _ = module._better(at, {})
     assert found.names == {"circular_spline_form"}
@@ -260,7 +260,7 @@ def test_of_two_sets_neither_gives_way_to_the_other_and_back(monkeypatch: pytest
 
 
 def test_a_cause_counts_by_the_best_of_its_forms() -> None:
-    """What another form of it would be worth in its place takes nothing from it."""
+    """The odds of another form of the same cause do not reduce its probability."""
     found, _ = module._better(begun(bench(OVAL)), {})
     odds = {"": -50.0, "circular_spline_form": -33.0, "circular_spline_pitch": -12.0}
     (standing,) = standings(Found(found, instead={"circular_spline_form": odds})).values()
@@ -269,7 +269,7 @@ def test_a_cause_counts_by_the_best_of_its_forms() -> None:
 
 
 def test_without_its_last_cause_a_set_is_worth_what_it_was_before(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The others may have moved to make room, and steps from there may not lead back."""
+    """The other parameters may have moved to make room, and steps may not lead back from there."""
     at = begun(bench(OVAL))
     found = module._next(at)
     assert found.before.names == at.names
@@ -280,7 +280,7 @@ def test_without_its_last_cause_a_set_is_worth_what_it_was_before(monkeypatch: p
 
 
 def test_a_candidate_that_lacks_little_is_settled_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Steps of the parameters bring more than their slopes promise: a wrong zero of the torque for one."""
+    """Parameter steps can gain more than their slopes predict, for example with a wrong torque zero."""
     at = begun(bench(OVAL))
     for lacks, tried in ((1.0, True), (3.0, False)):
         lacking = [candidates(at)[0]._replace(gain=-lacks)]
@@ -309,7 +309,7 @@ def test_without_a_measured_torque_only_what_the_motion_proves_takes_part() -> N
 
 
 def test_parameters_are_searched_for_again_under_the_torque_that_friction_leaves() -> None:
-    """6 N m move the torque at which the flanks change, which no columns at wrong parameters know."""
+    """6 N m shift the torque at which the flanks change; columns at wrong parameters miss this."""
     record, dry = swinging(), EFFECTS["coulomb_windup"]
     rubbing = moved(record, record.torque + 6.0 * np.tanh(record.speed / 2.0), record.torque)
     fit = linearise(rubbing, CONFIGURED, fit_parameters.vector(CONFIGURED, CONFIGURED)).with_noise(())
@@ -320,7 +320,7 @@ def test_parameters_are_searched_for_again_under_the_torque_that_friction_leaves
 
 @pytest.mark.parametrize(("zero", "led"), [(-2.6, True), (-2e-3, False)])
 def test_a_zero_that_puts_torques_on_the_other_flank_is_tried_at_its_size(zero: float, led: bool) -> None:
-    """A joint that bears next to nothing, whose sensor is off by more than it bears."""
+    """A joint with almost no load, whose sensor has an offset larger than the load."""
     record = swinging()
     real = 0.4 * np.sin(2.0 * np.pi * record.time / 5.3) - 0.3
     at = begun(linearise(moved(record, real, real - zero, 0), CONFIGURED, POINT).with_noise(()))
@@ -343,7 +343,7 @@ def test_parameters_that_imitate_a_delay_are_left_for_those_as_configured() -> N
 
 @pytest.mark.slow  # a whole diagnosis
 def test_parameters_are_ambiguous_only_if_they_are_beside_all_causes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without the causes several sets may fit alike: minima beside them decide."""
+    """Several sets may fit equally well without the causes; only minima with the causes decide."""
 
     def doubtful(*given: Any, **named: Any) -> Refit:
         return dataclasses.replace(refit(*given, **named), doubt=AMBIGUOUS)
@@ -355,9 +355,9 @@ def test_parameters_are_ambiguous_only_if_they_are_beside_all_causes(monkeypatch
 
 @pytest.mark.slow
 def test_what_a_motor_needs_itself_is_no_cause() -> None:
-    """Current for torque: gain within its prior, friction and inertia relative to it; none is named.
+    """Current as torque: gain within its prior, friction and inertia relative to it; no cause is named.
 
-    The friction under load is that of the link's torque, which the current is more than.
+    The load-dependent friction is in proportion to the link's torque, which is less than the current's.
     """
     record = swinging()
     speed = np.gradient(record.input_angle, record.time)
@@ -370,7 +370,7 @@ def test_what_a_motor_needs_itself_is_no_cause() -> None:
     ((item, sized),) = (one for one in fit.sized(chosen, fit.fit(chosen)[0]) if one[0][0].given)
     assert item[0].name == "motor_current"
     values = {name: value for name, (value, _) in item[0].to_physical(sized, item[1]).items()}
-    gain = 1.0 + values["relative_error"]  # a stiffer gear with a larger constant is nearly as good
+    gain = 1.0 + values["relative_error"]  # a stiffer gear with a larger constant fits almost as well
     assert abs(gain - 1.0) < 2.0 * 0.2
     found = [values[name] / gain for name in ("friction", "loaded_friction", "inertia")]
     assert np.all(np.abs(np.subtract(found, [3.0, 0.1, 2.0])) < [0.15, 0.01, 0.2])
@@ -378,7 +378,7 @@ def test_what_a_motor_needs_itself_is_no_cause() -> None:
 
 
 def test_stiffness_and_a_current_s_constant_are_open_by_one_factor() -> None:
-    """Twice the torque on half the compliance is the same error: every ± holds what the prior leaves."""
+    """Twice the torque on half the compliance gives the same error: every ± includes the prior's width."""
     made = bench(record=dataclasses.replace(swinging(), by_current=True))
     found = solved(settle(made, made.data.given))
     parameters, covariance = parameters_of(found)
@@ -393,7 +393,7 @@ def test_stiffness_and_a_current_s_constant_are_open_by_one_factor() -> None:
 
 
 def test_friction_under_load_by_a_current_has_these_derivatives() -> None:
-    """`changes` against differences, where the torque behind the motor turns round too."""
+    """Compare `changes` with finite differences, also where the torque behind the motor changes sign."""
     effect, rng = EFFECTS["motor_current"], np.random.default_rng(0)
     columns, size = rng.normal(0.0, 5.0, (500, 5)), np.array([0.2, 0.8, 0.05, 0.5, 0.1])
     steps = 1e-7 * np.eye(5)
@@ -403,14 +403,14 @@ def test_friction_under_load_by_a_current_has_these_derivatives() -> None:
 
 
 def slipping(signals: Signals) -> np.ndarray:
-    """A ball's wave whose phase wanders, of amplitude one (n,)."""
+    """Wave (n,) of amplitude one of a ball whose phase wanders."""
     angle = signals.wave_generator_angle
     way = np.cumsum(np.abs(np.diff(angle, prepend=angle[0])))
     return np.cos(10.25 * angle + 2.5 * np.sin(4.0 * way / way[-1]))
 
 
 def test_a_ball_whose_phase_wanders_is_no_misfit_though_nothing_foretells_it() -> None:
-    """A model that runs knows the mean of its phase, as it knows no encoder's zero of the next record."""
+    """A running model has only the mean phase; the wandering is as unknown as the next encoder zero."""
     ball, record = EFFECTS["bearing_passage"], swinging(40.0)
     test, which = held_out(record)
     added = 5.0 * ARCSEC * slipping(linearise(record, CONFIGURED, POINT).whole)
@@ -461,7 +461,7 @@ def test_two_causes_undo_each_other_if_of_a_size(place: tuple, sizes: tuple, sen
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_cause_that_another_torsion_undoes_is_none(sign: float) -> None:
-    """Under a weight the torque goes with the output's place, as an encoder's eccentricity does."""
+    """Under a weight the torque follows the output's position, as an encoder's eccentricity does."""
     record, stiff = swinging(), POINT.copy()
     stiff[COMPLIANCE] *= 0.5
     torque = 35.0 + 30.0 * np.cos(record.input_angle / RATIO + 0.6) + 0.5 * np.sin(4.0 * record.time)
@@ -479,7 +479,7 @@ def test_a_cause_that_another_torsion_undoes_is_none(sign: float) -> None:
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_friction_that_is_usual_undoes_no_friction(sign: float) -> None:
-    """Both dissipate: they add up, or the cause is the shape of another law."""
+    """Two frictions must add up; if one opposes the other, the cause only imitates another law."""
     friction = EFFECTS["viscous_windup"]
     values = {"friction": 6.0, "exponent": 0.5}
     item = (friction, friction.from_physical(values)[1])
@@ -496,7 +496,7 @@ def test_friction_that_is_usual_undoes_no_friction(sign: float) -> None:
 
 
 def test_a_displacement_that_some_rows_do_not_show_is_found_on_all() -> None:
-    """As configured it costs nothing there, and a search begins so: all rows are asked again."""
+    """A search begins without displacement, which costs nothing on these rows; all rows correct it."""
     small = fit_parameters.vector(joint(eccentricity__magnitude=6e-6).drive, CONFIGURED)
     record = swinging(30.0, drive=fit_parameters.drive_of(small, CONFIGURED))
     every = linearise(record, CONFIGURED, small).with_noise(())
@@ -514,7 +514,7 @@ def test_a_displacement_that_some_rows_do_not_show_is_found_on_all() -> None:
 
 @pytest.mark.parametrize("exponential", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_usual_wave_that_falls_and_turns_is_no_cause(exponential: bool) -> None:
-    """Other flanks bear a torque of the other sign, and the wave's phase goes with them."""
+    """Other flanks carry torque of the other sign, and the wave's phase changes with them."""
 
     def usual(signals: Signals) -> np.ndarray:
         load = signals.torque / CONFIGURED.rated_torque
@@ -526,7 +526,7 @@ def test_a_usual_wave_that_falls_and_turns_is_no_cause(exponential: bool) -> Non
 
 
 def test_a_cause_does_not_take_the_gears_own_wave_for_its_further_order() -> None:
-    """A wave of two per turn that falls with load, larger than an eccentric encoder's own of one."""
+    """The usual wave (two per turn, falling with load) exceeds the eccentric encoder's own once per turn."""
     encoder = EFFECTS["input_encoder_eccentricity"]
 
     def usual(signals: Signals) -> np.ndarray:
@@ -540,7 +540,7 @@ def test_a_cause_does_not_take_the_gears_own_wave_for_its_further_order() -> Non
 
 
 def test_a_minimum_is_chosen_by_what_all_rows_will_tell() -> None:
-    """On an eighth of them no displacement has more evidence: its four numbers are worth it on all."""
+    """On an eighth of the rows zero displacement has more evidence; all rows justify its four parameters."""
     given = {"eccentricity__magnitude": 1.5e-6, "eccentricity__direction": 0.6, "runout__magnitude": 6e-6}
     true = joint(**given).drive
     record, point = swinging(120.0, drive=true), fit_parameters.vector(true, CONFIGURED)

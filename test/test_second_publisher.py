@@ -1,4 +1,4 @@
-"""Rows of a second publisher among a joint's own: told and left out; what a joint does itself stays."""
+"""Rows of a second publisher are reported and left out; a joint's own behaviour stays."""
 
 from pathlib import Path
 
@@ -17,13 +17,13 @@ NOTHING = np.zeros(1200, np.int64)
 
 @pytest.fixture(scope="module")
 def given() -> dict[str, np.ndarray]:
-    """Six seconds at 200 Hz, from 2.6 rad of the output on: beyond half a turn, as robots' joints go."""
+    """Six seconds at 200 Hz from 2.6 rad of the output: beyond half a turn, as a robot's joint moves."""
     made = columns(seconds=6.0)
     return {**made, "output": made["output"] + 2.6, "input": made["input"] + 2.6 * RATIO}
 
 
 def of_both(given: dict[str, np.ndarray], every: int, value: float, effort: float | None):
-    """Rows with a value between the joint's own, a millisecond after each of `every`."""
+    """Rows with a value between the joint's own, a millisecond after each ``every``-th row."""
     time = given["time"][::every] + 1e-3
     order = np.argsort(np.concatenate((given["time"], time)), kind="stable")
     torque = given["torque"][::every] if effort is None else 0 * time + effort
@@ -36,7 +36,7 @@ OTHERS = [(1, 0.0, 0.0), (1, -1.25, 0.0), (4, 0.0, None), (20, -1.25, 0.0), (20,
 
 @pytest.mark.parametrize(("every", "value", "effort"), OTHERS)
 def test_rows_of_another_are_left_out_and_told(every, value, effort, given, tmp_path: Path) -> None:
-    """Zeros, another pose, only angles; from a bag and a table, for `diagnose` and for `ripple`."""
+    """Zeros, another pose, or angles only; from bag and table, for `diagnose` and `ripple`."""
     mixed, expected = of_both(given, every, value, effort), prepared(given)
     time, angles, torque = mixed["time"], (mixed["input"], mixed["output"]), mixed["torque"]
     bag = write(tmp_path / "a.mcap", states(time, NAMES, angles, (0.0 * torque, torque)))
@@ -68,7 +68,7 @@ def test_zeros_in_one_column(column: str, given: dict[str, np.ndarray], tmp_path
 
 
 def own(seed: int) -> dict[str, np.ndarray]:
-    """What a joint does itself: counts that wrap, rests at zero, steps that stay, spikes, held values."""
+    """Signals of a normal joint: wrapping counts, rests at zero, lasting steps, spikes, held values."""
     rng = np.random.default_rng(seed)
     time = np.arange(1200) / 200.0
     angle = 0.8 * np.sin(2.0 * time) * (rng.uniform(size=4).repeat(300) > 0.5)

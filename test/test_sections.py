@@ -1,4 +1,4 @@
-"""Sections along the width: coning, tilt, and the laws that they keep."""
+"""Sections along the width: coning, tilt, and their symmetries."""
 
 from dataclasses import replace
 from typing import Any
@@ -34,7 +34,7 @@ ASTRAY = wide(0.04, 4e-6 - 7e-6j, 0.5e-3 + 0.8e-3j, runout=2e-6 + 1e-6j, arc_off
 def test_published_torsion_and_backlash(case: published.SectionCase) -> None:
     mesh = wide(case.cup_length, 1j * case.eccentricity, 1j * case.tilt)
     beta = torsion(mesh, np.zeros(4), TORQUES)
-    # The calculation has 0.02 um, 7e-7 rad, and deforms sections to more than the first order.
+    # The calculation is accurate to 0.02 um and 7e-7 rad, and deforms sections beyond the first order.
     assert_allclose(beta, case.torsion, rtol=0, atol=7e-7)
     state = mesh_state(mesh, np.zeros(1), 0.0)
     assert_allclose(np.nanmin(state.section_backlash[0, :, 0], axis=1), case.backlash, atol=0.04e-6)
@@ -47,7 +47,7 @@ PLANE = published.SectionCase(0.0, 10e-6, 0.0, (), ())
 @pytest.mark.parametrize(("case", "expected"), [*EVERY_ORDER, (PLANE, published.ECCENTRIC_ORDER_2)])
 def test_published_order_2(case: published.SectionCase, expected: tuple[float, ...]) -> None:
     mesh = wide(case.cup_length, 1j * case.eccentricity, 1j * case.tilt)
-    turn = np.pi / 512 * np.arange(512)  # of half a turn, after which the error repeats
+    turn = np.pi / 512 * np.arange(512)  # half a turn, after which the error repeats
     beta = torsion_table(mesh, turn, TORQUES)
     found = 2 * np.abs((beta * np.exp(-2j * turn)[:, None]).mean(axis=0)) / ARCSEC
     assert_allclose(found, expected, rtol=0.01, atol=0.01)
@@ -102,12 +102,12 @@ def test_mirrored_and_turned(turn: float, torque: float) -> None:
     other = {name: getattr(ASTRAY, name).conjugate() for name in ("eccentricity", "runout", "tilt")}
     mirrored = replace(ASTRAY, **other, arc_offset=-ASTRAY.arc_offset)
     assert_allclose(torsion(mirrored, -own, -load), -beta, rtol=1e-9)
-    # By a slot's pitch, with everything that stands in the housing, the drive is the same.
+    # The drive is the same if everything fixed in the housing turns by a slot pitch.
     pitch = ASTRAY.geometry.slot_pitch
     along = np.exp(1j * pitch)
     moved = replace(ASTRAY, eccentricity=ASTRAY.eccentricity * along, tilt=ASTRAY.tilt * along)
     same = torsion(moved, own + pitch, load)
-    # The teeth stand elsewhere by the difference of a slot's and a tooth's way: that is a whole tooth.
+    # The teeth shift by the difference of slot and tooth travel, a whole tooth.
     assert_allclose(same, beta, rtol=1e-9)
 
 
@@ -135,7 +135,7 @@ def test_sections_together_bear_the_torque(torque: float) -> None:
 
 
 def test_what_coning_presses_as_built_is_no_interference() -> None:
-    """An eccentricity's is, in the plane and beyond what coning does; the overlap is told of either."""
+    """Interference comes from an eccentricity, in the plane and beyond coning; overlap has both."""
     turn = np.linspace(0.0, 6.0, 57)
     rest = mesh_state(wide(0.04), turn, 0.0)
     assert rest.overlap.min() > 8e-6

@@ -1,4 +1,4 @@
-"""The SROS 2 policy against the names that running nodes have."""
+"""The SROS 2 policy against the names of running nodes."""
 
 import fnmatch
 import xml.etree.ElementTree as ElementTree
@@ -27,7 +27,7 @@ RIGHTS = {
 
 
 def allowed(enclave: str) -> dict[tuple[str, str], set[str]]:
-    """Full names that an enclave's profile allows, as sros2 reads them: ~ is the node, / the root."""
+    """Full names that an enclave's profile allows, resolved like sros2: ~ is the node, / the root."""
     policy = ElementTree.parse(ROOT / "config/sros2_policy.xml").getroot()
     (profile,) = policy.findall(f"contexts/context[@path='{enclave}']/profiles/profile")
     found: dict[tuple[str, str], set[str]] = {right: set() for right in RIGHTS}
@@ -42,7 +42,7 @@ def allowed(enclave: str) -> dict[tuple[str, str], set[str]]:
 
 
 def used(observer: Node, name: str, namespace: str) -> dict[tuple[str, str], set[str]]:
-    """Full names of what a running node has, as they are without its namespace."""
+    """Full names that a running node uses, without its namespace."""
     return {
         right: {one.removeprefix(namespace.rstrip("/")) for one, _ in getattr(observer, ask)(name, namespace)}
         for right, ask in RIGHTS.items()
@@ -64,12 +64,12 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
 
 
 def settled(rig: Rig, name: str, namespace: str, enclave: str, left: set[str]) -> list[str]:
-    """Differences beside those that are left, once the graph is known."""
+    """Differences except for those in ``left``, once the graph is known."""
     found: list[str] = []
 
     def is_settled() -> bool:
         if (name, namespace) not in rig.node.get_node_names_and_namespaces():
-            found[:] = [f"{name} is not known yet"]  # on a busy machine its topics come before its name
+            found[:] = [f"{name} is not known yet"]  # on a busy machine topics appear before the name
             return False
         found[:] = sorted(set(differences(enclave, used(rig.node, name, namespace))) - left)
         return not found
@@ -92,7 +92,7 @@ def test_who_watches_may_read_diagnostics_alone(rig: Rig) -> None:
 
 
 def test_who_sets_parameters_may(rig: Rig) -> None:
-    """What an operator may besides is for other programs: ros2 param, pictures of the results."""
+    """The operator's other rights are for other programs: ros2 param, pictures of the results."""
     node = rclpy.create_node("set_parameters")
     client = AsyncParameterClient(node, "/hd_diag")
     names = {

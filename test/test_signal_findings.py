@@ -1,4 +1,4 @@
-"""What is wrong with the signals themselves: each a finding in words, and none in a good record."""
+"""Faults of the signals themselves: each gives a finding in words, a good record gives none."""
 
 import dataclasses
 import warnings
@@ -24,7 +24,7 @@ CONFIGURED = joint().drive
 
 
 def moves(reach: float = 0.6, **changed: Any) -> Record:
-    """Point to point within a part of a turn, against gravity."""
+    """Record of point-to-point motion within part of a turn, against gravity."""
     time = np.arange(0.0, 60.0, 0.005)
     output = 0.5 * reach * np.sin(2.0 * np.pi * time / 7.0) + 0.1 * reach * np.sin(2.0 * np.pi * time / 2.3)
     torque = 20.0 * np.cos(output) + 4.0 * np.gradient(np.gradient(output, time), time)
@@ -36,7 +36,7 @@ def moves(reach: float = 0.6, **changed: Any) -> Record:
 
 
 def simulated(by: float = 1.0, sign: float = 1.0) -> Record:
-    """A joint that moves fast and between large torques, angles times a factor, the input with a sign."""
+    """Record of fast motion between large torques; angles times ``by``, the input also times ``sign``."""
     made = simulate(SimulatedJoint(CONFIGURED), Motion(24.0, 100.0), np.random.default_rng(0))
     angles = {"input": sign * by * made.input_angle, "output": by * made.output_angle}
     return prepared({"time": made.stamp * 1e-9, **angles, "torque": made.torque})
@@ -93,7 +93,7 @@ def test_other_units(reach: float, column: str, changed: Any, said: str) -> None
 
 @pytest.mark.parametrize("fast", [True, False])
 def test_both_angles_in_degrees(fast: bool) -> None:
-    """At the configured ratio, and moving so fast and between such torques that steps were seen before."""
+    """At the configured ratio; fast motion between large torques once looked like steps."""
     both = dict.fromkeys(("input", "output"), np.degrees)
     found = only(simulated(by=180.0 / np.pi) if fast else moves(2.0, **both))
     assert (found.name, found.fatal) == ("unit", True)
@@ -107,7 +107,7 @@ def test_a_torque_that_no_gear_bears() -> None:
 
 
 def test_a_ratio_of_the_wrong_sign_is_not_taken_for_a_late_output() -> None:
-    """A motion to and fro, mirrored, is itself at another time."""
+    """A mirrored to-and-fro motion resembles itself at another time."""
     found = only(simulated(sign=-1.0))
     assert (found.name, found.value) == ("ratio_error", pytest.approx(-RATIO, rel=1e-2))
 
@@ -121,7 +121,7 @@ def test_a_torque_of_the_other_sign_is_turned() -> None:
 
 @pytest.mark.parametrize("constant", [20.0, 30.0])
 def test_a_torque_in_amperes(constant: float) -> None:
-    """The factor is of the torsion, which is softer under less torque."""
+    """The factor compares torsions; the drive is softer at low torque, so it stays below the constant."""
     found = only(moves(3.0, torque=times(1.0 / constant)))
     assert (found.name, found.fatal) == ("torque_unit", False)
     assert 4.0 < found.value < constant
@@ -133,15 +133,15 @@ SLOW = [pytest.param(*one, marks=pytest.mark.slow) for one in ROBOTS]  # 9 s eac
 
 @pytest.mark.parametrize(("family", "seed"), [("faultless", 1_000_000_557), *SLOW])
 def test_a_torque_that_goes_with_the_angle_has_no_other_unit_or_sign(family: str, seed: int) -> None:
-    """In 2.6 s it goes from 9 to 11 N m as the angle does: by regression 4.3 ± 0.7 times the torsion.
+    """In 2.6 s the torque rises from 9 to 11 N m with the angle: regression gives 4.3 ± 0.7 of the torsion.
 
-    Of gravity that goes with the place, beside waves of the output's turn, it comes out as -1.2 and -2.6.
+    For gravity that follows the position, next to waves of the output's turn, it gives -1.2 and -2.6.
     """
     assert not screened(generated(families.made(family, seed)), CONFIGURED).findings
 
 
 def test_a_torque_that_rises_with_the_speed_has_no_other_sign() -> None:
-    """A joint off centre that starts under load: beside its speed the torsion is -0.66 ± 0.01 of its own."""
+    """An eccentric joint starts under load: regression with the speed gives -0.66 ± 0.01 of the torsion."""
     motion = Motion(60.0, 250.0, (13.2,), (14.0,), both_directions=False, ramp_share=0.008, rest_share=0.0)
     truth = SimulatedJoint(joint(eccentricity__magnitude=18e-6, eccentricity__direction=0.6).drive)
     made = simulate(truth, motion, np.random.default_rng(0))
@@ -153,7 +153,7 @@ def test_a_torque_that_rises_with_the_speed_has_no_other_sign() -> None:
 @pytest.mark.parametrize("late", [0.02, -0.05, 0.3, -3.0])
 @pytest.mark.parametrize("made", [lambda: moves(3.0), swinging], ids=range(2))
 def test_angles_out_of_step(made: Callable[[], Record], late: float) -> None:
-    """Seconds apart, the output follows the input at no ratio."""
+    """If the angles are seconds apart, the output follows the input at no ratio."""
     record = made()
     moved = np.interp(record.time - late, record.time, record.output_angle)
     found = only(dataclasses.replace(record, output_angle=moved))
@@ -191,7 +191,7 @@ def test_rows_that_repeat_are_left_out() -> None:
 @pytest.mark.parametrize("runs", [1, 4, 6, 7, 9, 18])
 @pytest.mark.parametrize("bags", [1, 7])
 def test_what_is_held_out_is_foretold_from_both_sides(runs: int, bags: int) -> None:
-    """Of a drift the end of a record could only be extrapolated."""
+    """A drift at the end of a record could only be extrapolated."""
     record = swinging(40.0)
     run, bag, stretch = (np.arange(record.size) * count // record.size for count in (runs, bags, 12))
     extent = record.extent._replace(runs=runs)
@@ -206,7 +206,7 @@ def test_what_is_held_out_is_foretold_from_both_sides(runs: int, bags: int) -> N
 
 @pytest.mark.parametrize(("own", "said"), [(True, "stretches"), (False, "runs")])
 def test_what_is_held_out_has_torques_that_other_rows_show(own: bool, said: str) -> None:
-    """On a bench each stroke may have a load of its own, and no model foretells one that it never saw."""
+    """On a bench each stroke may have its own load, and no model predicts a load that it never saw."""
     record = swinging(40.0)
     run = np.arange(record.size) * 8 // record.size
     load = np.where(np.isin(run, (2, 6)), 40.0, -20.0) if own else 10.0 * (np.arange(record.size) % 3 - 1.0)
@@ -227,8 +227,8 @@ def test_a_torque_of_another_joint_is_left_out() -> None:
     assert finding.value > 1.3
     for kept in (
         record,
-        dataclasses.replace(unloaded, torque=0.003 * other),  # it twists nothing
-        dataclasses.replace(unloaded, by_current=True),  # most of it may be the motor's own friction
+        dataclasses.replace(unloaded, torque=0.003 * other),  # too small for any torsion
+        dataclasses.replace(unloaded, by_current=True),  # may be mostly the motor's own friction
     ):
         same, finding = without_misleading_torque(kept, CONFIGURED, test, np.random.default_rng(0))
         assert finding is None
@@ -236,19 +236,19 @@ def test_a_torque_of_another_joint_is_left_out() -> None:
 
 
 def encoder_off_centre() -> Record:
-    """Fitted without it, the parameters of torsion imitate it and predict badly."""
+    """Without this cause in the fit, torsion parameters imitate it and predict badly."""
     record = swinging()
     read = 12e-3 * np.cos(record.input_angle - 2.0) + 4e-3 * np.cos(2.0 * record.input_angle + 1.0)
     return dataclasses.replace(record, input_angle=record.input_angle + read)
 
 
 def rubbing() -> Record:
-    """By 3.5 N m, which no parameter knows: held-out runs are foretold worse with torque, all others not."""
+    """Unmodelled friction of 3.5 N m: with torque, held-out runs are predicted worse, all others are not."""
     return screened(generated(families.made("robot_pair", 1_000_000_834)), CONFIGURED).record
 
 
 def off_zero() -> Record:
-    """It puts most torques of a joint that carries little on the other flank, 15 um of datum away."""
+    """A zero error moves most torques of a lightly loaded joint to the other flank, 15 um of datum away."""
     return generated(families.made("robot_pair", 4812))
 
 
@@ -268,9 +268,9 @@ def test_what_misleads_one_fit_is_no_wrong_torque(made: Callable[[], Record], se
     assert same is record
 
 
-@pytest.mark.parametrize("seconds", [0.0, pytest.param(np.inf, marks=pytest.mark.slow)])  # of the search
+@pytest.mark.parametrize("seconds", [0.0, pytest.param(np.inf, marks=pytest.mark.slow)])  # for the search
 def test_a_record_without_torque_is_judged_in_the_gap_between_the_flanks(seconds: float) -> None:
-    """At no torque the model has no compliance: nothing may overflow, and the misfit is said."""
+    """Without torque the model has no compliance: nothing may overflow, and the misfit is reported."""
     record = prepared({name: column for name, column in columns(seconds=6.0).items() if name != "torque"})
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -1,4 +1,4 @@
-"""Signals that stand elsewhere than in joint states: messages of other robots, in their units."""
+"""Signals outside joint states: messages of other robots in their own units."""
 
 import dataclasses
 import re
@@ -62,7 +62,7 @@ def test_franka(given: dict[str, np.ndarray], recipes: dict[str, Any], tmp_path:
 
 
 def test_kuka(given: dict[str, np.ndarray], recipes: dict[str, Any], tmp_path: Path) -> None:
-    """One angle and the torque, without a header: stamps are the times of reception."""
+    """One angle and the torque without a header: reception times serve as stamps."""
     messages, kuka = Messages(KUKA), recipes["lbr_A4"]
     path = messages.write(tmp_path / "a.mcap", "/lbr/state", robots.kuka_states(messages, given))
     one_angle = dataclasses.replace(kuka, signals=kuka.signals._replace(input=kuka.signals.output))
@@ -75,7 +75,7 @@ def test_kuka(given: dict[str, np.ndarray], recipes: dict[str, Any], tmp_path: P
 
 
 def test_a_ur(given: dict[str, np.ndarray], recipes: dict[str, Any], tmp_path: Path) -> None:
-    """Its velocity is the motor's at the joint's side, its efforts are the motors' currents."""
+    """The velocity is the motor's, referred to the joint's side; efforts are motor currents."""
     speed, current = np.gradient(given["input"], given["time"]) / RATIO, given["torque"] / 11.2
     names, ur = ["elbow_joint", "wrist_1_joint"], recipes["ur_elbow"]
     blocks = ((column, 2.0 * column) for column in (given["output"], current, speed))
@@ -90,7 +90,7 @@ def test_a_ur(given: dict[str, np.ndarray], recipes: dict[str, Any], tmp_path: P
 
 
 def test_motors_and_links_with_the_same_names_on_two_topics(given, tmp_path: Path) -> None:
-    """In degrees and in counts of the other sign; temperatures in another message beside them."""
+    """Angles in degrees and in counts of opposite sign; temperatures in another message."""
     links = given["output"] * -8192 / (2 * np.pi)
     path = write(
         tmp_path / "a.mcap",
@@ -110,7 +110,7 @@ def test_motors_and_links_with_the_same_names_on_two_topics(given, tmp_path: Pat
 
 
 def test_a_torque_by_the_current_of_another_joint(given: dict[str, np.ndarray], tmp_path: Path) -> None:
-    """What is not mapped keeps its place."""
+    """Signals that are not mapped keep their place."""
     zero, own = np.zeros_like(given["torque"]), {"name": "sensor", "unit": "mA", "scale": 11200.0}
     angles, efforts = (given["input"], given["output"], zero), (zero, zero, given["torque"] / 11.2)
     path = write(tmp_path / "a.mcap", states(given["time"], (*NAMES, "sensor"), angles, efforts))
@@ -120,7 +120,7 @@ def test_a_torque_by_the_current_of_another_joint(given: dict[str, np.ndarray], 
 
 
 def test_an_input_that_wraps_is_the_same_record(given: dict[str, np.ndarray], tmp_path: Path) -> None:
-    """Turns that a gap hides follow from the output."""
+    """The output gives the turns that a gap hides."""
     kept = np.r_[0:500, 560 : given["time"].size]
     given = {name: column[kept] for name, column in given.items()}
     wrapped = {**given, "input": np.mod(given["input"] + np.pi, 2 * np.pi) - np.pi}
@@ -147,7 +147,7 @@ def test_a_replay_predicts_from_other_messages_as_from_joint_states(given, tmp_p
 
 
 def test_a_temperature_in_the_messages_is_reported_as_it_changes(given, tmp_path: Path) -> None:
-    """However many messages are read at once, a report tells the last one before it."""
+    """A report has the last temperature before it, however many messages are read at once."""
     warm = np.floor(given["time"]) + 20.0
     blocks = (given["input"], given["output"], warm)
     path = write(tmp_path / "a.mcap", states(given["time"], (*NAMES, "heat"), blocks))
@@ -230,7 +230,7 @@ def reader_of(messages: Messages, **fields: str) -> FieldReader:
 
 
 def test_columns_are_those_of_rosbags_whatever_the_lengths() -> None:
-    """Random interfaces and names, both byte orders; a name that is absent gives nothing."""
+    """Random interfaces and names in both byte orders; an absent name gives no column."""
     messages, chance, count = Messages(DYNAMIC), np.random.default_rng(3), 200
     reader = reader_of(messages, a="interface_values.values[position]", b="interface_values[0].values[0]")
     sent, expected = [], []
@@ -258,7 +258,7 @@ def test_columns_are_those_of_rosbags_whatever_the_lengths() -> None:
 
 
 def test_a_single_float_is_converted_in_double_however_many_come() -> None:
-    """Live and in a replay a number in degrees is the same radians, to the last bit."""
+    """Live and in a replay, a number in degrees gives the same radians, bit for bit."""
     types, kind = jazzy().types, "sensor_msgs/msg/PointCloud"
     stamp = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](1, 2), "")
     value = np.float32(1.2345678)

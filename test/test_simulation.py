@@ -1,4 +1,4 @@
-"""The simulated joint: its motion, its noise, the bag written of it, and the command that writes one."""
+"""The simulated joint: motion, noise, the bag with its data, and the command that writes one."""
 
 import itertools
 import json
@@ -65,7 +65,7 @@ def test_the_input_moves_at_the_velocity_it_has_which_rises_smoothly(motion: Mot
     travelled = np.diff(time) * (ends[1:] + 4.0 * middle + ends[:-1]) / 6.0
     fastest = max(motion.speeds) * motion.duration
     assert_allclose(np.diff(moments.input_angle), travelled, atol=1e-6 * fastest)
-    # Minimum jerk: the greatest slope of a step of 1 over a time of 1 is 15/8.
+    # Minimum jerk: the steepest slope of a unit step over unit time is 15/8.
     steepest = 15.0 / 8.0 * max(motion.speeds) / (motion.ramp_share * motion.duration / len(motion.runs))
     change = np.abs(np.diff(ends)) / np.diff(time)
     assert change.max() <= steepest * (1.0 + 1e-9) + 1e-9
@@ -75,7 +75,7 @@ def test_the_input_moves_at_the_velocity_it_has_which_rises_smoothly(motion: Mot
 @given(motions)
 def test_every_run_starts_and_ends_at_rest_and_reaches_its_level(motion: Motion) -> None:
     length = motion.duration / len(motion.runs)
-    largest = max(map(abs, motion.torques))  # a border may fall into the neighbouring run by rounding
+    largest = max(map(abs, motion.torques))  # rounding may move a border into the neighbouring run
     for number, (velocity, torque) in enumerate(motion.runs):
         rest = 0.5 * motion.rest_share
         borders = motion.at(length * (number + np.array([rest, 1.0 - rest])))
@@ -90,7 +90,7 @@ def test_both_directions_return_to_the_start_at_any_rate() -> None:
     ends = SHORT.at(np.array([-1.0, 0.0, SHORT.duration, SHORT.duration + 5.0])).input_angle
     assert_allclose(ends, 0.0, atol=1e-12)
     one_way = Motion(duration=2.0, speeds=(10.0,), torques=(0.0,), both_directions=False)
-    # Of 2 s, 5 % at rest at either end, and half of each 10 % ramp is lost.
+    # The 2 s lose 5 % at rest at each end, and half of each 10 % ramp.
     assert one_way.at(np.array([2.0])).input_angle[0] == pytest.approx(10.0 * 2.0 * (1.0 - 0.1 - 0.1))
     motion = Motion(duration=1000.0, sample_rate=300.0)
     stamps = motion.stamps(START, 0, motion.samples)
@@ -143,8 +143,8 @@ def test_noise_has_the_size_and_the_correlation_asked_for(table: TorsionMap) -> 
     noisy = joined(parts(SimulatedJoint(drive(), noise), motion, rng(3), table=table))
     angle, torque = noisy.output_angle - quiet.output_angle, noisy.torque - quiet.torque
     assert_array_equal(noisy.input_angle, quiet.input_angle)
-    # 8000 samples; a variance of the drift counts 8000 (1 - 0.9^2) / (1 + 0.9^2) = 840 independent ones, so
-    # that 4 standard deviations of it are 4 sqrt(2 / 840) = 20 %; the white part makes it less.
+    # A variance over 8000 samples of the drift counts 8000 (1 - 0.9^2) / (1 + 0.9^2) = 840 independent ones.
+    # So 4 standard deviations are 4 sqrt(2 / 840) = 20 %; the white part reduces this.
     assert angle.var() == pytest.approx(2e-5**2 + 3e-5**2, rel=0.2)
     assert np.mean(angle[1:] * angle[:-1]) == pytest.approx(0.9 * 3e-5**2, rel=0.2)
     assert np.mean(angle[10:] * angle[:-10]) == pytest.approx(0.9**10 * 3e-5**2, rel=0.5)
@@ -197,14 +197,14 @@ TWO |= {"elbow.input_joint": "m2", "elbow.ratio": -100.0}
 
 
 def messages_of(path: Path, topic: str) -> list[Any]:
-    """As rosbags reads them."""
+    """Messages that rosbags reads on a topic."""
     with AnyReader([path]) as reader:
         own = [c for c in reader.connections if c.topic == topic]
         return [reader.deserialize(data, c.msgtype) for c, _, data in reader.messages(own)]
 
 
 def joint_states(path: Path) -> tuple[list[str], np.ndarray, list[np.ndarray]]:
-    """Names, stamps and (position, velocity, effort) of a bag."""
+    """Joint names, stamps and (position, velocity, effort) of a bag."""
     found = messages_of(path, "/joint_states")
     stamps = np.array([m.header.stamp.sec * SECOND + m.header.stamp.nanosec for m in found])
     columns = [np.array([getattr(m, k) for m in found]) for k in ("position", "velocity", "effort")]
@@ -290,7 +290,7 @@ def test_the_command_takes_a_configuration_and_some_of_its_joints(tmp_path: Path
     file.write_text(dump(resolve(TWO)))
     given = ("--config", file, "--joint", "elbow", "--duration", 0.5, "--one-way", "--json", "-")
     result = hd_diag("simulate", "--out", out, *given)
-    assert json.loads(result.stdout)["samples"] == 250  # alone on stdout
+    assert json.loads(result.stdout)["samples"] == 250  # nothing else on stdout
     assert sorted(path.name for path in tmp_path.iterdir()) == ["drive.yaml", "out"]
     names, _, (position, _, _) = joint_states(out)
     assert names == ["m2", "elbow"]
@@ -299,7 +299,7 @@ def test_the_command_takes_a_configuration_and_some_of_its_joints(tmp_path: Path
 
 
 def test_ctrl_c_leaves_a_whole_bag_or_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """While the third of four parts is written; it says what there is."""
+    """Ctrl-C comes while the third of four parts is written; the message tells what exists."""
     new, old = tmp_path / "new.mcap", tmp_path / "old.mcap"
     old.write_text("precious")
     write, calls = BagWriter.write_many, itertools.count(1)

@@ -1,4 +1,4 @@
-"""Smoothing keeps what a joint's torque does and takes its noise; the window is chosen by the data."""
+"""Smoothing keeps the joint's torque and removes its noise; the data choose the window."""
 
 import numpy as np
 import pytest
@@ -75,7 +75,7 @@ def test_a_small_swing_above_the_noise_stays():
 
 
 def test_a_quick_stretch_has_a_narrower_window_of_its_own():
-    """A joint that creeps for half a minute and once hurries: one window for all would bend it there."""
+    """A joint creeps for half a minute and hurries once: a common window would distort that."""
     true = torque(0.05) + 20.0 * np.sin(2 * np.pi * np.clip((TIME - 20.0) / 0.4, 0.0, 1.0))
     values = true + 0.15 * np.random.default_rng(4).standard_normal(TIME.size)
     quick = np.abs(TIME - 20.2) < 0.25

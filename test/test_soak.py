@@ -1,4 +1,4 @@
-"""How `make soak` counts: what is lost, what a full disk excuses, what memory does."""
+"""Counting of `make soak`: losses, excuses for a full disk, memory."""
 
 import dataclasses
 import subprocess
@@ -13,7 +13,7 @@ sys.path.append(str(Path(__file__).resolve().parent.parent / "bench"))
 import soak_result as soak
 
 SECOND = 10**9
-SENT = np.column_stack((7 + 10**6 * np.arange(60_000), 10**6 * np.arange(60_000)))  # a minute of 1 kHz
+SENT = np.column_stack((7 + 10**6 * np.arange(60_000), 10**6 * np.arange(60_000)))  # a minute at 1 kHz
 
 
 @pytest.mark.parametrize(
@@ -44,7 +44,7 @@ def test_the_second_tenth_is_compared_with_the_last() -> None:
 
 
 def test_the_most_or_least_of_the_halves_is_compared() -> None:
-    """Of what comes and goes, such as the thread that writes a log, or a file that is soon closed."""
+    """For short-lived things, such as the thread that writes a log, or a file that is soon closed."""
     come_and_go = [(float(at), 18.0 + (at % 7 == 0)) for at in range(100)]
     assert soak.halves(come_and_go, 100.0, max) == (19.0, 19.0)
     assert soak.halves([(at, size + (at > 90)) for at, size in come_and_go], 100.0, max) == (19.0, 20.0)
@@ -54,7 +54,7 @@ def test_the_most_or_least_of_the_halves_is_compared() -> None:
 
 
 def test_retention_and_diagnoses_are_judged() -> None:
-    """Old files go; each diagnosis but the last ends with a verdict."""
+    """Old files are deleted; each diagnosis except for the last ends with a verdict."""
     seen = soak.Observed(max_age=60.0, oldest=70.0, deleted=3)
     seen.counts |= {"diagnosis begun": 3, "verdict": 2}
     for change, holds in (
@@ -69,7 +69,7 @@ def test_retention_and_diagnoses_are_judged() -> None:
 
 
 def test_memory_threads_and_open_files_are_those_of_the_process(tmp_path: Path) -> None:
-    """Of the log's files one that is there does not count, one that was deleted does."""
+    """An existing log file does not count; a deleted one that is still open does."""
     code = "input(); kept = b'1' * 40_000_000; opened = open('/dev/null'); Thread(target=input).start()"
     code += f"; there, gone = (open('{tmp_path}/' + name, 'w') for name in ('there', 'gone'))"
     code = f"{code}; os.unlink(gone.name)"

@@ -1,4 +1,4 @@
-"""Stamps that jitter: which of them tell when a sample was taken, and which do not."""
+"""Jittering stamps: which tell when a sample was taken, and which do not."""
 
 import numpy as np
 import pytest
@@ -7,12 +7,12 @@ from hd_diag.diagnosis.stamps import without_jitter
 
 RATE, COUNT = 500.0, 5000  # [Hz]
 EVEN = np.arange(COUNT) / RATE
-JITTER = 0.1  # of a step
+JITTER = 0.1  # relative to a step
 ONE = np.zeros(COUNT, dtype=np.int64)
 
 
 def angle(time: np.ndarray) -> np.ndarray:
-    """A swing of some turns [rad]."""
+    """A swing over several turns [rad]."""
     return 30.0 * np.sin(2.0 * np.pi * 0.3 * time)
 
 
@@ -37,7 +37,7 @@ STRETCH = np.arange(COUNT) // 1000
     ids=["an angle", "counts", "fine counts", "samples are lost", "stretches have clocks of their own"],
 )
 def test_jitter_of_stamps_alone_is_taken_out(time, shown, stretch, most) -> None:
-    """What is left of it is the mean over half a second: a tenth of it and less."""
+    """The remaining jitter is that of the mean over half a second: a tenth or less."""
     jitter = jittered() - EVEN
     found = without_jitter(time + (jitter[GAPS] if time.size < COUNT else jitter), shown, stretch)
     assert np.std(found - time) < most * JITTER / RATE
@@ -59,5 +59,5 @@ JUMPS = np.sort(EVEN + np.random.default_rng(2).normal(0.0, 1.0 / RATE, COUNT))
     ids=["samples are uneven", "counts are", "fine counts are", "no jitter", "half a step and more"],
 )
 def test_other_stamps_stay(stamps, shown) -> None:
-    """Where they jump by half a step which sample was taken when cannot be told."""
+    """With jumps of half a step it is unknown which sample was taken when."""
     assert without_jitter(stamps, shown, ONE) is stamps

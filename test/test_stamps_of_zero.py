@@ -1,4 +1,4 @@
-"""Header stamps that are zero or stay the same, and arrays shorter than the names: what stands for them."""
+"""Header stamps that are zero or constant, and arrays shorter than the names: their replacements."""
 
 import itertools
 import json
@@ -60,7 +60,7 @@ def test_stamps_of_zero_are_the_time_of_reception_and_that_is_said(zeros: Path, 
 
 
 def test_a_simulation_s_clock_begins_at_zero(tmp_path: Path) -> None:
-    """Far from the time of reception that stands for it; it is not set back, its rate that of most stamps."""
+    """Reception, far from the other stamps, replaces it; most stamps give the rate, none is set back."""
     path = bag(tmp_path / "a.mcap", messages("/joint_states", LOG - START))
     result = hd_diag("topics", path, "--json", tmp_path / "t.json")
     assert f"the stamps of 1 of {COUNT} messages are zero" in result.stdout
@@ -79,7 +79,7 @@ def test_a_replay_of_them_is_reproduced_to_the_last_bit(zeros: Path, tmp_path: P
 
 @pytest.mark.parametrize("step", [1, 7, COUNT])
 def test_one_message_or_many_give_the_same(step: int) -> None:
-    """Of zero are the first three, some in between, and the last."""
+    """The first three, some in between, and the last are zero."""
     stamps = LOG - START + 10**9
     stamps[[0, 1, 2, 500, COUNT - 1]] = 0
     rows = [data for *_, data, _ in messages("/j", stamps)]
@@ -110,7 +110,7 @@ def test_stamps_that_stay_the_same_have_a_mapping_that_topics_writes(tmp_path: P
 
 
 def test_of_two_topics_one_with_stamps_of_another_clock(tmp_path: Path) -> None:
-    """The motor's are zero, the link's of a robot's clock, an hour late: reception for both is one clock."""
+    """Motor stamps are zero, link stamps from a clock an hour late: reception gives both one clock."""
     motor = messages("/motor", 0 * LOG, NAMES[:1])
     path = bag(tmp_path / "a.mcap", motor, messages("/link", LOG - 3600 * 10**9, NAMES[1:], late=1000))
     result = hd_diag("diagnose", path, "--orders-only")
@@ -130,7 +130,7 @@ def states_with(effort: int, velocity: int = 0, positions: int = 2) -> list[Mess
 
 @pytest.mark.parametrize(("effort", "velocity"), [(1, 0), (0, 1), (1, 1), (3, 0), (5, 1), (2, 1)])
 def test_what_is_not_mapped_is_not_checked(effort: int, velocity: int, tmp_path: Path) -> None:
-    """What topics proposes, diagnose and replay take; efforts that fit are read whatever the velocities."""
+    """`topics`, `diagnose` and `replay` agree; fitting efforts are read regardless of velocities."""
     path = bag(tmp_path / "a.mcap", states_with(effort, velocity))
     with BagReader(path) as reader:
         ((_, _, slope),) = pairs(contents(reader, reader.topics[:1])[0].numbers)

@@ -1,4 +1,4 @@
-"""Long records in stretches: what is kept, what causes remember between, the verdict, and the memory."""
+"""Long records in stretches: rows kept, memory of effects between them, the verdict, and memory use."""
 
 import tracemalloc
 from pathlib import Path
@@ -33,7 +33,7 @@ RATE = 1000.0  # [Hz]
 
 
 def moved(runs: int = 6, seed: int = 0, bags: int = 1, rows: int = ROWS) -> Record:
-    """A record whose runs go to and fro under a wandering torque; nothing of it is measured."""
+    """Record of runs to and fro under a wandering torque; angles and torque have no noise."""
     rng = np.random.default_rng(seed)
     time = np.arange(rows) / RATE
     run = np.arange(rows) * runs // rows
@@ -48,7 +48,7 @@ def moved(runs: int = 6, seed: int = 0, bags: int = 1, rows: int = ROWS) -> Reco
 
 
 def dense(record: Record) -> list[tuple[int, int]]:
-    """Stretches of rows with one step from each to the next."""
+    """Stretches of consecutive rows."""
     place = np.rint(record.time * RATE).astype(np.int64)
     return [(a, b) for a, b in bounds(np.cumsum(np.diff(place, prepend=place[0]) != 1)) if b - a > 1]
 
@@ -58,14 +58,14 @@ def test_rows_of_a_subsample_are_neighbours_and_spread() -> None:
     assert subsample(short) is short
     whole = moved(bags=2)
     record = subsample(whole, SOME)
-    # Memory goes on, but not into another recording.
+    # Memory continues, but not into another recording.
     assert np.array_equal(record.stretch, record.bag)
     assert set(record.bag.tolist()) == {0, 1}
     assert 0.9 * SOME < record.size <= SOME
     rows = np.rint(record.time * RATE).astype(np.int64)
     step = np.diff(rows)
     assert np.all(step > 0)
-    assert step[step > 1].min() > 20  # no filter takes those for neighbours
+    assert step[step > 1].min() > 20  # no filter treats these rows as neighbours
     for name in ("time", "input_angle", "output_angle", "torque", "speed", "run", "bag", "reported_torque"):
         assert np.array_equal(getattr(record, name), getattr(whole, name)[rows])
     assert sum(b - a for a, b in dense(record)) > 0.9 * record.size
@@ -81,7 +81,7 @@ def test_every_part_of_every_run_is_seen(runs: int) -> None:
     if runs == 6:
         assert {int(record.run[a]) for a, _ in found} == set(range(6))
         assert np.max(apart) <= 2.0 * ROWS / RATE / len(found)
-    assert np.max(apart) < 0.25 * ROWS / RATE  # of more runs than there can be stretches some are seen
+    assert np.max(apart) < 0.25 * ROWS / RATE  # with 600 runs only some can have a stretch
 
 
 def test_what_is_rare_is_seen_too() -> None:
@@ -107,7 +107,7 @@ def test_it_tells_what_the_whole_covers() -> None:
 @settings(max_examples=10)
 @given(st.integers(0, 1000), st.floats(0.5, 12.0))
 def test_friction_remembers_as_if_it_had_seen_every_row(seed: int, reach: float) -> None:
-    """A slip element that follows the kept torques is where it would be, but for turns of the least size."""
+    """A slip element on the kept torques matches the full one, except for reversals of the least size."""
     whole = moved(seed=seed, rows=30_000)
     record = subsample(whole, 6000)
     full = slip(0.0, np.diff(whole.torque, prepend=0.0) / reach)
@@ -115,13 +115,13 @@ def test_friction_remembers_as_if_it_had_seen_every_row(seed: int, reach: float)
     rows = np.rint(record.time * RATE).astype(np.int64)
     neighbours = np.concatenate((np.diff(rows) == 1, [False]))
     off = np.abs(few - full[rows])[neighbours]
-    # Torque that passes unseen within the distance of single rows: 30 of the 500 from knot to knot.
+    # Torque change that single rows can miss: 30 of the 500 rows between two knots.
     assert off.max() <= 2.5 * 80.0 * 30.0 / 500.0 / reach
     assert np.mean(off) < 0.1 / min(reach, 1.0)
 
 
 def test_memory_goes_on_through_a_pause_without_torque() -> None:
-    """Rows without torque are not fitted; 2 s of them are no gap in what friction remembers."""
+    """Rows without torque are not fitted, but friction remembers across these 2 s."""
     made = columns(seconds=12.0)
     made["torque"] = np.where(np.abs(made["time"] - 6.0) < 1.0, 0.0, made["torque"])
     drive = joint().drive
@@ -129,7 +129,7 @@ def test_memory_goes_on_through_a_pause_without_torque() -> None:
     assert bench.data.record.size < 12.0 * 200.0 - 350
     assert np.max(np.diff(bench.data.record.time)) > 1.8
     assert set(bench.signals.run.tolist()) == {0}
-    assert len(set(bench.data.run.tolist())) > 1  # which filters do not go through
+    assert len(set(bench.data.run.tolist())) > 1  # filters stop at these gaps
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +146,7 @@ def test_a_record_is_the_same_in_blocks(rough: dict[str, Any], monkeypatch: pyte
     expected = prepared(rough)
     monkeypatch.setattr(blocks, "BLOCK", 700)
     record = prepared(rough)
-    assert record.outliers == expected.outliers == 21  # one more was in the gap
+    assert record.outliers == expected.outliers == 21  # one more lies in the gap
     assert (record.dropped, record.extent.runs) == (0, expected.extent.runs)
     for name in ("time", "input_angle", "output_angle", "torque", "speed", "temperature", "run"):
         np.testing.assert_allclose(getattr(record, name), getattr(expected, name), rtol=1e-12, atol=1e-11)
@@ -166,7 +166,7 @@ def test_a_skipped_tooth_at_the_edge_of_a_block_is_found(monkeypatch: pytest.Mon
 
 @pytest.mark.slow
 def test_a_subsample_has_the_verdict_of_the_whole() -> None:
-    """Half the rows; hysteresis, which only what came between tells from other causes."""
+    """Hysteresis on half the rows: only the torque between kept rows distinguishes it from other causes."""
     made = generated("one_effect", 9, "hysteresis", run=10.0)
     data = (made.time, made.input_angle, made.output_angle, made.torque, made.temperature)
     record = prepare(*data, np.zeros(made.time.size, dtype=np.int64), 100.0)
@@ -184,7 +184,7 @@ def test_a_subsample_has_the_verdict_of_the_whole() -> None:
 
 
 def needed(path: Path, seconds: float) -> tuple[int, int]:
-    """Most memory while a bag at 1 kHz is read and screened, and what is left of it [byte]."""
+    """Peak and remaining memory [byte] of reading and screening a bag at 1 kHz."""
     config = resolve({"joints": ["joint_1"]})
     own = config.joints[0]
     noise = {"joint_1": SimulatedJoint(own.drive, Noise(white=2.0 * ARCSEC, torque=0.3))}
@@ -202,9 +202,9 @@ def needed(path: Path, seconds: float) -> tuple[int, int]:
 
 @pytest.mark.slow
 def test_memory_does_not_grow_with_the_record(tmp_path: Path) -> None:
-    """An hour at 1 kHz in half a gibibyte before the fit, which then always gets `LIMIT` rows.
+    """An hour at 1 kHz takes half a gibibyte before the fit, which always gets at most `LIMIT` rows.
 
-    Both records are longer than what is worked on at a time.
+    Both records are longer than one block of processing.
     """
     short, long = (needed(tmp_path / f"{s}.mcap", s) for s in (560.0, 840.0))
     each = (long[0] - short[0]) / 280_000

@@ -1,4 +1,4 @@
-"""Tables as people have them: the same record, however its text is laid out; units of time."""
+"""Tables in users' formats: the same record for any layout of the text; units of time."""
 
 import contextlib
 import functools
@@ -93,7 +93,7 @@ def test_rows_are_found_below_whatever_stands_above(
 @pytest.mark.parametrize("encoding", ["cp1252", "utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
 def test_encodings_of_spreadsheets(encoding: str, end: str, given: Columns, tmp_path: Path) -> None:
-    """An angle in °, named with an umlaut, in a Windows code page or as Excel's Unicode text."""
+    """An angle in °, a name with umlaut, in a Windows code page or as Excel's Unicode text."""
     shown = {**given, "output": np.degrees(given["output"])}
     path, header = tmp_path / "a.csv", "Zeit [s];Motor;Länge (°);tau"
     path.write_bytes(end.join([header, *rows(shown, ";", ",")]).encode(encoding))
@@ -132,7 +132,7 @@ def test_a_date_is_the_standard_library_s(when: datetime, minutes: int) -> None:
 def test_any_text_is_a_table_or_one_line(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
     path = tmp_path_factory.getbasetemp() / "any.csv"
     path.write_text(text)
-    with pytest.raises(RecordError) as caught:  # too short, if nothing else
+    with pytest.raises(RecordError) as caught:  # too short, if no other reason
         read_tables([path], Table(NUMBERED), joint())
     assert "\n" not in str(caught.value)
     with contextlib.suppress(RecordError):
@@ -140,7 +140,7 @@ def test_any_text_is_a_table_or_one_line(tmp_path_factory: pytest.TempPathFactor
 
 
 def test_names_of_many_columns_are_compared_once(tmp_path: Path) -> None:
-    """Each with all others took 20 s for 3,000; those that are there twice go by their numbers."""
+    """Comparing all pairs took 20 s for 3,000 names; duplicate names are addressed by number."""
     path, header = tmp_path / "wide.csv", [f"joint{k % 2999}_pos [rad]" for k in range(3000)]
     path.write_text(",".join(header) + "\n" + (",".join(map(str, range(3000))) + "\n") * 3)
     begin = clock.process_time()
@@ -170,11 +170,11 @@ def test_a_time_in_another_unit_is_asked_about(
     with pytest.raises(RecordError, match=asked):
         read([path], Table(NAMED), joint())
     check(path, Table({**NAMED, "time": f"t[{unit}]"}))
-    read([path], Table({**NAMED, "time": "t[s]"}), joint())  # if it is so
+    read([path], Table({**NAMED, "time": "t[s]"}), joint())  # accepted if the user says so
 
 
 def test_a_joint_that_needs_hours_for_a_turn_is_asked_about(tmp_path: Path) -> None:
-    """Recorded at 4 kHz, so that ms are often enough, from a bag too."""
+    """4 kHz in ms, which read as seconds still gives a plausible rate; also for a bag."""
     time = np.arange(2000) / 4.0
     angle = 1e-3 * time
     angles = 100 * angle, angle
@@ -213,7 +213,7 @@ GUESSED = {
 
 @pytest.mark.parametrize("case", list(GUESSED))
 def test_columns_are_guessed_and_the_guess_is_taken(case: str, given: Columns, tmp_path: Path) -> None:
-    """`topics` and `diagnose` without --columns print the same line, which gives the record."""
+    """`topics` and `diagnose` without --columns print the same line, and it gives the record."""
     header, factors, guess = GUESSED[case]
     shown = {name: column * factors.get(name, 1.0) for name, column in given.items()}
     path = written(tmp_path / "a.csv", header, *rows(shown, ","))
@@ -232,7 +232,7 @@ def test_columns_are_guessed_and_the_guess_is_taken(case: str, given: Columns, t
 
 
 def test_one_angle_in_a_table_is_for_ripple(given: Columns, tmp_path: Path) -> None:
-    """With the torque that was measured, not that of a model."""
+    """It uses the measured torque, not the model's."""
     path, model = tmp_path / "a.csv", 0.1 * given["torque"]
     columns = given["time"], given["output"], model, given["torque"]
     np.savetxt(path, np.stack(columns, axis=1), delimiter=";", header="t;q;tau_model;tau", comments="")

@@ -1,4 +1,4 @@
-"""Batches spread over threads: every row once, whoever works on it; one thread in the processes of a pool."""
+"""Batches on several threads: every row is processed once; one thread in a pool's processes."""
 
 import multiprocessing
 import os
@@ -17,12 +17,12 @@ def test_as_many_threads_as_cores_work_at_once_and_end(monkeypatch):
     before, met, names = threading.enumerate(), threading.Barrier(3), set()
 
     def work(first, last):
-        met.wait(timeout=60)  # passed only if two others are at work, too
+        met.wait(timeout=60)  # passes only if two others are also at work
         names.add(threading.current_thread().name)
 
     threads.spread(work, 60, 10)
     assert len(names) == 3
-    assert set(threading.enumerate()) <= set(before)  # one of another test may have ended meanwhile
+    assert set(threading.enumerate()) <= set(before)  # a thread of another test may have ended meanwhile
 
 
 @pytest.mark.parametrize("broken", [0, 30])
@@ -43,6 +43,6 @@ def test_cores_are_those_that_the_process_may_use():
     code += "os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); print(threads.cores())"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.stdout.strip() == "1", done.stderr
-    # One in a process of a pool.
+    # One thread in a pool's process.
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         assert pool.submit(threads.cores).result(timeout=60) == 1

@@ -1,4 +1,4 @@
-"""The tilt of a wave generator, fitted beside its eccentricity, on records of the independent generator."""
+"""Tilt of a wave generator, fitted together with its eccentricity, on independent records."""
 
 import dataclasses
 
@@ -29,7 +29,7 @@ def configured(cup_length: float = 0.0) -> Drive:
 
 
 def recorded(tilt: complex, cup_length: float = 0.0, rate: float = 60.0, loaded: bool = False) -> Record:
-    """Of sections side by side, each a drive of the generator with an eccentricity and a curve of its own."""
+    """Record of parallel sections; each is a generator's drive with its own eccentricity and curve."""
     rng = np.random.default_rng(0)
     moves = motion.standard(rng)
     time = np.arange(round(60.0 * rate)) / rate
@@ -61,17 +61,17 @@ def test_a_tilt_is_found_beside_an_eccentricity() -> None:
     mesh = dataclasses.replace(drive.mesh, eccentricity=ECCENTRICITY, tilt=TILT)
     true = fit_parameters.vector(dataclasses.replace(drive, mesh=mesh), drive)
     off = np.array([found.parameters - one for one in fit_parameters.alike(true, drive)])
-    most = [1.0, 1.0, 2.0, 1.0, 3.0, 2.0, 0.5, 2.0, 3.0]  # a search, whose model is as good as needs be
+    most = [1.0, 1.0, 2.0, 1.0, 3.0, 2.0, 0.5, 2.0, 3.0]  # of a search with an approximate model
     assert np.any(np.all(np.abs(off) < most, axis=1))
-    assert found.trustworthy  # a ring that leans the other way is the same
+    assert found.trustworthy  # a ring with opposite tilt is the same
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("cup_length", "side"), [(0.0, 1.0), (40e-3, 1.0), (40e-3, -1.0)])
 def test_a_diagnosis_gives_the_tilt(cup_length: float, side: float) -> None:
-    """Of a cup a tilt to the other side is another drive, and is told apart."""
+    """For a cup, a tilt to the other side is another drive, and the fit distinguishes them."""
     drive = configured(cup_length)
-    record = recorded(side * TILT, cup_length, rate=120.0)  # half of it leaves a tilt open
+    record = recorded(side * TILT, cup_length, rate=120.0)  # half the record leaves the tilt open
     found = diagnose(record, drive, np.random.default_rng(0))
     answer, told = Answer(found), as_json(found, "joint_1")["refit"]["parameters"]
     assert [change.name for change in answer.changes] == ["eccentricity", "tilt"]
@@ -88,7 +88,7 @@ def test_a_diagnosis_gives_the_tilt(cup_length: float, side: float) -> None:
 
 @pytest.mark.slow
 def test_a_tilt_that_a_record_does_not_show_has_a_bound() -> None:
-    """Under more than a quarter of the rated torque the sections' teeth all bear."""
+    """Above a quarter of the rated torque the teeth of all sections carry load."""
     found = diagnose(recorded(TILT, loaded=True), configured(), np.random.default_rng(0))
     assert abs(TILT) < found.kept["tilt"] < 5e-3
     assert "tilt" not in {change.name for change in Answer(found).changes}

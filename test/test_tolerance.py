@@ -1,4 +1,4 @@
-"""Assembly tolerances: laws of the limits and the yield, and limits found again by brute force."""
+"""Assembly tolerances: laws of the limits and the yield, and limits confirmed by brute force."""
 
 import dataclasses
 import math
@@ -66,7 +66,7 @@ def excess(criterion: str, limit: float, of: Drive | None = None, torque: float 
 
 @pytest.fixture
 def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An excess is looked for in few steps: where it is solved to be does not depend on them."""
+    """Search for an excess in few steps; its solution does not depend on their number."""
     monkeypatch.setattr("hd_diag.tolerance.limit.STEPS", 12)
 
 
@@ -74,7 +74,7 @@ def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_an_environment_compiles_the_kernels_of_model_and_tolerances() -> None:
-    """What the script runs leaves nothing that the first study or diagnosis would compile."""
+    """After the script's warm-up the first study or diagnosis compiles nothing."""
     parts = re.findall(r"-c '(.*warm_up.*)'", (ROOT / "scripts" / "environment.sh").read_text())
     kernels = (
         "tolerance.loads, tolerance.lobes, entry.torsion, entry.torsion_and_gradient,"
@@ -105,7 +105,7 @@ def test_an_environment_compiles_the_kernels_of_model_and_tolerances() -> None:
 
 
 def test_moments_are_those_of_the_mesh() -> None:
-    """Overlap to the mean radius of all contacts instead of one lobe's, which differ by 0.02 %."""
+    """Overlap at the mean radius of all contacts instead of one lobe's; the two differ by 0.02 %."""
     own = drive(drives.mesh(eccentricity=(9e-6, 4e-6), runout=(1e-6, 0.0)))
     turn = np.linspace(0.0, 6.0, 40)
     state = mesh_state(own, -turn, np.full(40, CUP))
@@ -120,7 +120,7 @@ def test_moments_are_those_of_the_mesh() -> None:
 
 
 def test_slots_turned_together_turn_the_cup_and_one_is_that_of_the_brute_force() -> None:
-    """The reference moves the wall by as much at every radius; here the slot turns: 0.5 % of 3 um."""
+    """The reference shifts the wall equally at every radius, here the slot turns: 0.5 % of 3 um."""
     random = np.random.default_rng(0)
     center = random.uniform(0, 30e-6, 20) * np.exp(1j * random.uniform(0, 7, 20))
     moments = drives.mesh(), random.uniform(-9.0, 9.0, 20), center, np.array([CUP])
@@ -141,7 +141,7 @@ def test_slots_turned_together_turn_the_cup_and_one_is_that_of_the_brute_force()
 
 @pytest.mark.parametrize("criterion", [c.name for c in CRITERIA if not c.jumps])
 def test_a_limit_is_crossed_where_it_says(criterion: str) -> None:
-    """At the worst direction and input angle, by the mesh of that one eccentricity."""
+    """The mesh of the found eccentricity confirms it at the worst direction and input angle."""
     found = excess(criterion, LIMITS[criterion])
     assert found.reached
     assert found.without < found.limit
@@ -152,7 +152,7 @@ def test_a_limit_is_crossed_where_it_says(criterion: str) -> None:
 
 
 def value(criterion: str, found: DisplacementLimit, eccentricity: float) -> float:
-    """A criterion at the direction and input angle found, computed beside the search."""
+    """Value of a criterion at the direction and input angle found, computed independently of the search."""
     towards = eccentricity * np.exp(1j * found.worst.direction)
     own = drive(dataclasses.replace(drives.mesh(), eccentricity=towards))
     angle = np.array([input_angle(own, found.worst.wave_generator_angle)])
@@ -180,7 +180,7 @@ def value(criterion: str, found: DisplacementLimit, eccentricity: float) -> floa
     ],
 )
 def test_what_is_allowed_is_the_first_limit_of_all(without: tuple[str, ...]) -> None:
-    """As the study finds it by solving for every one; without those that are out of reach."""
+    """The result equals that of solving for every limit; limits out of reach do not count."""
     limits = LIMITS | dict.fromkeys(without, 1e9)
     reached = [(excess(name, LIMITS[name]).eccentricity, name) for name in NAMES if name not in without]
     assert allowed(drive(), CUP, limits, LARGEST) == (min(reached) if reached else None)
@@ -195,9 +195,9 @@ def test_what_is_allowed_is_the_first_limit_of_all(without: tuple[str, ...]) -> 
     ],
 )
 def test_no_direction_and_angle_is_worse(criterion: str, beside: float) -> None:
-    """20,000 moments at random stay within the limit at the eccentricity that keeps it.
+    """At the limit eccentricity 20,000 random moments stay within the limit.
 
-    Where a pair comes into load the worst moments are rare, and the limit is exceeded soon after.
+    Where a pair comes into load, worst moments are rare: random ones exceed the limit within ``beside`` [m].
     """
     found = excess(criterion, LIMITS[criterion])
     random = np.random.default_rng(4)
@@ -219,9 +219,9 @@ def test_no_direction_and_angle_is_worse(criterion: str, beside: float) -> None:
     ["overlap", *(pytest.param(name, marks=pytest.mark.slow) for name in ("interference", "stiffness_loss"))],
 )
 def test_of_images_of_the_worst_the_first_is_given(coarse: None, criterion: str) -> None:
-    """With half a turn the lobes swap, but for what asks for one lobe; without torque a mesh mirrors.
+    """Half a turn swaps the lobes, except for criteria of one lobe; without torque a mesh mirrors.
 
-    A drive that is smaller by a part in 1e12 rounds otherwise, and has the same worst moment.
+    A drive smaller by a part in 1e12 rounds differently but must have the same worst moment.
     """
     relative = []
     for datum in drives.PAPER.circular_spline_datum * np.array([1.0, 1.0 + 1e-12]):
@@ -239,7 +239,7 @@ def test_mirrored_torque_has_the_same_limit(coarse: None) -> None:
 
 
 def test_a_runout_takes_its_part(coarse: None) -> None:
-    """The overlap is that of what lies across the long axis: it adds up."""
+    """Overlap depends on the displacement across the long axis, so runout and eccentricity add up."""
     own = drive(drives.mesh(runout=(0.0, 3e-6)))
     asked = CUP, "overlap", LIMITS["overlap"], LARGEST
     found, without = (first_excess(each, *asked).eccentricity for each in (own, drive()))
@@ -275,7 +275,7 @@ def test_no_direction_and_angle_of_a_tilt_is_worse(coarse: None) -> None:
         leaning = tilt * np.exp(1j * direction)
         return float(evaluate(cup(0.04).mesh, turn, still, np.array([CUP]), tilt=leaning).interference.max())
 
-    # 5000 moments at random come within 2 % of the worst one.
+    # 5000 random moments come within 2 % of the worst one.
     assert worst(0.98 * found.tilt) < 9e-6 < worst(1.02 * found.tilt)
     assert worst(found.tilt) <= 9e-6 * (1 + 1e-6)
 
@@ -284,7 +284,7 @@ def test_the_chart_s_ends_are_the_single_limits(coarse: None) -> None:
     limits = {"overlap": 6e-6}
     ring = {s: frontier(cup(0.0), CUP, limits, LARGEST, s)["overlap"] for s in (-0.5, 0.0, 0.5, 1.0)}
     assert_allclose(ring[-0.5], np.multiply(ring[0.5], (1, -1)), rtol=1e-9)
-    step = LARGEST / 24  # of the chart; a coarse grid finds the worst 5 % too late at most
+    step = LARGEST / 24  # of the chart; a coarse grid finds the worst at most 5 % too late
     arm = cup(0.0).mesh.geometry.section_places.max()
     for share, name, scale in ((0.0, "eccentricity", 1.0), (1.0, "tilt", arm)):
         exact = getattr(first_excess(cup(0.0), CUP, "overlap", 6e-6, LARGEST, share), name) * scale
@@ -347,7 +347,7 @@ def values(of: Population, tolerances: Any, samples: int = 24, jobs: int = 1, *d
 
 
 def test_assemblies_are_meshes_with_their_eccentricity_and_runout() -> None:
-    """Without tolerances each is the perfect one."""
+    """Without tolerances every assembly is the perfect drive."""
     peak, turn = NAMES.index("peak_tooth_load"), 2 * np.pi * np.arange(24) / 24
     found = values(population(), [0.0], samples=3)
     assert np.ptp(found, axis=0).max() == 0.0
@@ -369,7 +369,7 @@ def test_assemblies_are_meshes_with_their_eccentricity_and_runout() -> None:
 
 
 def test_yield_falls_as_the_tolerance_grows() -> None:
-    """Strictly ordered criteria: an assembly that fails fails at every greater tolerance."""
+    """An assembly that fails a criterion also fails it at every greater tolerance."""
     of = population(eccentricity=("rayleigh", 4e-6), tooth_compliance=("normal", 0.05))
     found = values(of, np.linspace(0.0, 40e-6, 9), samples=40)
     limits = np.array([1.0, 20e-6, 55.0, 1e9, 1.0, 10 * ARCSEC])
@@ -410,7 +410,7 @@ def test_every_factor_changes_what_it_is_named_after() -> None:
         return draw(of, np.array([numbers.get(name, 0.25) for name in FACTORS]))
 
     plain = assembled()
-    assert_allclose(plain.eccentricity, 1j, atol=1e-12)  # a quarter of a turn
+    assert_allclose(plain.eccentricity, 1j, atol=1e-12)  # number 0.25 is a quarter of a turn
     assert_allclose(plain.drive.mesh.runout, 0.5e-6j, atol=1e-15)
     assert plain.drive.cup_compliance == 1e-6
     assert plain.drive.mesh.eccentricity == 0.0

@@ -1,4 +1,4 @@
-"""Sobol indices: closed forms of toy functions, through the code that the assemblies go through."""
+"""Sobol indices: closed forms of toy functions, through the code for assemblies."""
 
 import numpy as np
 from numpy.testing import assert_allclose
@@ -14,7 +14,7 @@ def linear(numbers: np.ndarray) -> np.ndarray:
 
 
 def test_bounds_hold_the_truth() -> None:
-    """Shares of a linear function are those of its squared slopes; what it does not depend on has none."""
+    """Shares of a linear function follow its squared slopes; an unused input has none."""
     found = indices(linear, 4, 256, np.random.default_rng(3))
     assert found.first.value[0, 3] == found.total.value[0, 3] == 0.0
     for low, high in ((e.low, e.high) for e in (found.first, found.total)):

@@ -1,4 +1,4 @@
-"""A damaged tooth at its full size: a pair that has parted gives no more; which teeth are looked at next."""
+"""A damaged tooth at full size: a parted pair adds nothing more; choice of the next teeth."""
 
 import math
 
@@ -58,7 +58,7 @@ def test_a_worn_slot_is_the_contact_solved_with_it(signals: Signals, clearance: 
 
 @MEMBERS
 def test_the_response_grows_until_the_pair_parts(signals: Signals, member: float) -> None:
-    """Then it stays: no torque in this record can bend the others by as much as the greatest of these."""
+    """Then it stays: no torque in this record bends the other pairs by the largest of these sizes."""
     sizes = [0.0, 1e-6, 4e-6, 1e-5, 2e-5, 4e-5, 8e-5, 1.6e-4]
     for way in ([1.0, 0.0], [0.0, 1.0]):
         found = np.abs([response(signals, member, *(size * np.array(way))) for size in sizes])
@@ -80,7 +80,7 @@ def test_flanks_bear_one_torque_each(signals: Signals, member: float) -> None:
 @pytest.mark.parametrize("arc", ARCS)
 @MEMBERS
 def test_pairs_of_an_arc_share_the_whole_load(signals: Signals, member: float, arc: float) -> None:
-    """With the same clearance on all flanks the gear turns by it over the radius, as by the contact."""
+    """With equal clearance on all flanks the gear turns by clearance over radius, as in the contact."""
     loaded, count = np.abs(signals.torque) > 20.0, round(2.0 * math.pi / PITCH[member])
     every = [EFFECT.columns(signals, (member, number * PITCH[member], arc)) for number in range(count)]
     found = np.sum(every, axis=(0, 2))[loaded]

@@ -1,4 +1,4 @@
-"""A torque is smoothed as broadly as it lets itself be; what a sensor feels of the lobes stays in it."""
+"""A torque is smoothed as broadly as the data allow; the sensor's ripple of the lobes stays."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from hd_diag.diagnosis.torque_smoothing import smoothed_torque
 STEP, RATIO, NOISE = 2e-3, 100.0, 0.3
 TIME = STEP * np.arange(18_000)
 WHOLE = np.zeros(TIME.size, dtype=np.int64)
-# Both ways at up to 8 turns a second, under gravity.
+# In both directions at up to 8 turns per second, under gravity.
 ANGLE = 100.0 * np.sin(2 * np.pi * TIME / 12.0)
 LOAD = 20.0 * np.sin(2 * np.pi * TIME / 30.0) + 8.0
 
@@ -24,7 +24,7 @@ def off(found: np.ndarray, true: np.ndarray) -> float:
 
 @pytest.mark.parametrize("turns", [1.0, 1.0 + 1.0 / RATIO, 1.0 - 1.0 / RATIO])
 def test_a_ripple_of_the_lobes_stays_and_narrows_no_window(turns: float) -> None:
-    """As the housing sees it, or either member."""
+    """Lobes in the frame of the housing or of either member."""
     angle = turns * ANGLE
     wave = 0.4 * np.cos(2 * angle + 0.3) + 0.1 * np.sin(4 * angle) + 0.1 * np.cos(angle)
     true = LOAD * (1.0 + 0.05 * np.cos(2 * angle - 1.0)) + wave
@@ -80,7 +80,7 @@ def test_a_torque_without_any_noise_or_change_is_what_it_is() -> None:
 
 @pytest.mark.parametrize("turns", [0.9, 5.0])
 def test_a_second_of_one_move_makes_no_waves_of_its_torque(turns: float) -> None:
-    """At 100 Hz, with noise and without: so many waves would follow anything, and grow without end."""
+    """At 100 Hz, with and without noise: so many waves would fit anything and grow without limit."""
     time = 0.01 * np.arange(100)
     angle = np.pi * turns * (1.0 - np.cos(np.pi * time))
     for noise in (0.0, NOISE):

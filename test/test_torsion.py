@@ -1,4 +1,4 @@
-"""Torsion of a mesh over angle and torque, and what a mesh refuses."""
+"""Torsion of a mesh over angle and torque, and inputs that a mesh refuses."""
 
 import math
 import subprocess
@@ -34,7 +34,7 @@ def at(mesh: Mesh, angle: float, torque: float) -> float:
     return float(torsion(mesh, np.array([angle]), np.array([torque]))[0])
 
 
-LIMITS = {  # what strikes first, and the clearance that it has
+LIMITS = {  # the first parts to strike, and their clearance
     "root at the long axis": (drives.PAPER, 117.1e-6),
     "tip at the long axis": (
         polyline.Drive(circular_spline_datum=29.76e-3, tooth_root=0.35e-3),
@@ -74,13 +74,13 @@ def test_refuses_what_is_no_number_or_not_positive(name: str, value: complex, me
 
 STATIC = drives.mesh(eccentricity=(5e-6, -16e-6))
 RUNOUT = drives.mesh(runout=(12e-6, 9e-6))
-# Mesh; angle by which another of the same torsion turns on; that mesh; sign of angle, torque and torsion.
+# Mesh; angle after which another mesh has the same torsion; that mesh; sign of angle, torque and torsion.
 LAWS = {
     "mirror": (ASTRAY, 0.0, drives.mesh(PAPER, (5e-6, 16e-6), (3e-6, -2e-6), -4e-6), -1.0),
     "every turn": (ASTRAY, 2 * np.pi, ASTRAY, 1.0),
     "opposite displacement": (ASTRAY, 0.0, drives.mesh(PAPER, (-5e-6, 16e-6), (-3e-6, -2e-6), 4e-6), 1.0),
     "static eccentricity, every half turn": (STATIC, np.pi, STATIC, 1.0),
-    # It meets every slot alike: what is seen in the housing must come of what stands in the housing.
+    # A runout meets every slot alike: differences in the housing need something fixed in it.
     "runout alone, every tooth": (RUNOUT, 7 * 2 * np.pi / 202, RUNOUT, 1.0),
 }
 
@@ -107,7 +107,7 @@ def test_nan_where_no_tooth_reaches_the_slots() -> None:
 
 
 def orders(mesh: Mesh, torque: float) -> tuple[Array, float]:
-    """Amplitude of every order of the wave generator's turn and peak to peak [arcsec]."""
+    """Amplitude of every order of the wave generator's turn, and peak to peak [arcsec]."""
     angle = np.arange(8 * 202) * 2 * np.pi / (8 * 202)
     beta = torsion(mesh, angle, np.full(angle.size, torque)) / ARCSEC
     return np.abs(np.fft.rfft(beta)) * 2 / angle.size, float(np.ptp(beta))
@@ -160,7 +160,7 @@ def shifted(mesh: Mesh, name: str, step: float) -> Mesh:
 @pytest.mark.parametrize("loaded", [True, False])
 @pytest.mark.parametrize("name", BY)
 def test_gradient_is_that_of_finite_differences(name: str, loaded: bool) -> None:
-    """Also at zero torque, preloaded or in a gap; eccentric, so that no two flanks bound the gap together."""
+    """Also at zero torque, preloaded or in a gap; eccentric, so that no two flanks bound the gap at once."""
     turn, torque = random_moments(7, 300) * np.array([[1.0], [loaded]])
     step = {"torque": 1e-5, "tooth_compliance": 1e-10}.get(name, 1e-9)
     push = step if name == "torque" else 0.0
@@ -175,7 +175,7 @@ def test_gradient_is_that_of_finite_differences(name: str, loaded: bool) -> None
         errors.append(np.abs(gradient[bears, BY.index(name)] - expected))
         sizes.append(expected)
     scale = np.sqrt(np.mean(np.concatenate(sizes) ** 2))
-    # Where a flank begins to bear within the step, beta has a kink and no derivative: at few moments.
+    # If a flank begins to carry within the step, beta has a kink without derivative; this is rare.
     assert np.quantile(np.concatenate(errors), 0.98) <= 1e-7 * scale + 1e-15 / step
 
 
@@ -190,7 +190,7 @@ def test_gradient_has_the_torsion_and_is_infinite_by_torque_in_a_gap(paper_mesh:
 
 @pytest.mark.parametrize("outward", [0.0, 30e-6], ids=["preload", "gap"])
 def test_along_samples_it_is_exact_at_nodes_and_straight_between(outward: float) -> None:
-    """At all teeth, where nothing fixed in the housing displaces the wave generator."""
+    """This holds at all teeth if nothing fixed in the housing displaces the wave generator."""
     drive = replace(drives.PAPER, circular_spline_datum=drives.PAPER.circular_spline_datum + outward)
     mesh = drives.mesh(drive, (0.0, 0.0), (3e-6, 1e-6))
     random, steps = np.random.default_rng(8), 3
@@ -217,7 +217,7 @@ def test_along_samples_it_is_exact_at_nodes_and_straight_between(outward: float)
 
 @pytest.mark.parametrize(("size", "samples"), [(4.0, 20_000), (16.0, 60_000), (16.0, 3000)])
 def test_along_samples_a_displacement_is_carried_from_tooth_to_tooth(size: float, samples: int) -> None:
-    """To 0.02 arcsec of 250; derivatives jump where pairs come into load, but on average they are right."""
+    """To 0.02 arcsec of 250; derivatives jump where pairs come into load, but are right on average."""
     mesh = drives.mesh(drives.PAPER, (0.0, 0.25e-6 * size), (1e-6, 2e-6))
     random, steps = np.random.default_rng(9), 4
     step = 2 * np.pi / (steps * mesh.geometry.circular_spline_teeth)
@@ -266,11 +266,11 @@ def test_several_threads_give_the_same_to_the_last_bit(monkeypatch: pytest.Monke
 
 
 def test_kernels_are_compiled_once() -> None:
-    """Warmed up for what comes: also for columns of other arrays and arrays that cannot be written to."""
+    """The warm-up also covers strided columns and read-only arrays."""
     module.warm_up(gradient=True)
     compiled = [found for found in vars(kernel.entry).values() if hasattr(found, "signatures")]
     own = [found for found in compiled if found.py_func.__module__.endswith((".entry", ".interpolation"))]
-    before = [len(found.signatures) for found in own]  # more than one where a kernel of others took one in
+    before = [len(found.signatures) for found in own]  # several if another kernel includes it
     turn, torque = np.repeat(random_moments(11, 5), 2, axis=1)[:, ::2]
     turn.flags.writeable = torque.flags.writeable = False
     for solve in (torsion, torsion_table, torsion_and_gradient, mesh_state):
@@ -299,7 +299,7 @@ def test_a_cache_that_cannot_be_written_is_done_without(monkeypatch: pytest.Monk
 
 
 def test_machine_code_of_two_processes_shares_no_names() -> None:
-    """What one compiled as sort and another as argsort is loaded by a third, which ran the first for both."""
+    """A third process loads both: with a shared name it would run one's sort for the other's argsort."""
     code = """
 import os, hd_diag.model.kernel.compiler, numba.core.bytecode as bytecode
 if forked := os.fork():

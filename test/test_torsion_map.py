@@ -42,7 +42,7 @@ def test_error_is_bounded(table: TorsionMap) -> None:
     found = table(np.repeat(angle, torque.size), np.tile(torque, angle.size))
     error = np.abs(found - torsion_table(table.mesh, angle, torque).reshape(-1))
     assert error.max() <= table.error_bound
-    assert error.max() > 0.2 * table.error_bound  # a bound that says something
+    assert error.max() > 0.2 * table.error_bound  # the bound is not too wide
     assert table.error_bound <= 4 * TOLERANCE
     limit = table.torque_limit
     angle = np.array([0.0, -0.0, -1e-20, 1e-300, 2 * np.pi, -2 * np.pi, np.nextafter(2 * np.pi, 0), 1e6])
@@ -51,7 +51,7 @@ def test_error_is_bounded(table: TorsionMap) -> None:
 
 
 def test_bound_holds_in_the_middle_of_the_gap() -> None:
-    """In coarse steps so few teeth pass that no other torque is met to the tolerance."""
+    """With so few teeth the coarse map meets its tolerance at no other torque."""
     table = build(drives.mesh(drives.COARSE), 6.0)
     angle, idle = np.linspace(-30, 30, 500), np.zeros(500)
     assert np.abs(table(angle, idle) - torsion(table.mesh, angle, idle)).max() <= table.error_bound
@@ -59,7 +59,7 @@ def test_bound_holds_in_the_middle_of_the_gap() -> None:
 
 
 def test_ends_below_the_torque_at_which_torsion_jumps(astray: TorsionMap, gap: TorsionMap) -> None:
-    """From some 75 N m on pairs enter by their tip corners: the torsion is not continuous in the angle."""
+    """Above about 75 N m pairs engage by their tip corners, and torsion is discontinuous in the angle."""
     assert gap.torque_limit == gap.requested_limit == 60
     assert astray.requested_limit == 112
     assert 60 < astray.torque_limit < 90
@@ -71,7 +71,7 @@ def test_ends_below_the_torque_at_which_torsion_jumps(astray: TorsionMap, gap: T
 
 def test_exact_at_its_own_angles(table: TorsionMap) -> None:
     steps = table.repeats * (table.torque.shape[0] - 1)
-    # Half a step of torsion [rad], and as much again for a breakpoint that was moved by half a step.
+    # Half a step of torsion [rad], and the same again for a breakpoint moved by half a step.
     single = float(table.lines[:, 2].max())
     assert single < 0.3 * TOLERANCE
     angle = 2 * np.pi / steps * np.arange(0, steps, 97)
@@ -135,7 +135,7 @@ def test_what_repeats_within_a_turn_is_kept_once(displaced: dict[str, Any], repe
 
 @pytest.mark.parametrize("drive", ["100/102", "160/162", "320/322"])
 def test_size_follows_the_error(drive: str) -> None:
-    """A turn of a drive of any ratio takes about as much, for the error that is aimed at."""
+    """At any ratio a turn takes about the same memory for the error aimed at."""
     displaced = {"eccentricity": (4e-6, -7e-6), "runout": (3e-6, 1e-6)}
     table = build(drives.mesh(drives.DRIVES[drive], **displaced), 20.0)
     assert 4e6 < table.torque.nbytes + table.torsion.nbytes < 8e6
@@ -152,6 +152,6 @@ def test_several_threads_build_the_same_map() -> None:
 
 
 def test_refuses_what_the_teeth_cannot_bear() -> None:
-    """Between two teeth passing, none reaches the slots."""
+    """Between two engagements no tooth reaches the slots."""
     with pytest.raises(ValueError, match=r"the teeth cannot bear 1 N m at every wave generator angle"):
         build(drives.mesh(drives.shallow()), 1.0)

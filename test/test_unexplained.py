@@ -1,4 +1,4 @@
-"""Waves without a name: even ones, and those that a torque of both signs scales, as cogging does."""
+"""Waves without a name: constant ones, and those that torque scales with its sign, as cogging does."""
 
 from collections.abc import Callable
 from typing import Any
@@ -69,7 +69,7 @@ def test_two_even_waves_the_stronger_first() -> None:
     waves = found(wave(ORDER, SIZE), wave(5.9, 2.0 * SIZE))
     assert [line.order for line in waves] == pytest.approx([5.9, ORDER], abs=0.02)
     assert [line.where for line in waves] == ["", ""]
-    # Noise, and a wave smaller than is of use.
+    # Noise, and a wave too small to matter.
     assert found() == found(wave(ORDER, 0.2 * ARCSEC)) == []
 
 

@@ -1,4 +1,4 @@
-"""Shapes without a cause: their columns on small records, and what they ask of a record."""
+"""Shapes without a cause: their columns on small records, and their requirements on a record."""
 
 import dataclasses
 from typing import Any
@@ -23,7 +23,7 @@ FEW = 600
 
 
 def made(speed: Array, torque: Array | float = 20.0, run: Array | None = None) -> Signals:
-    """A record of a speed of the input [rad/s] and a torque [N m], from angle zero."""
+    """Signals for an input speed [rad/s] and a torque [N m], starting at angle zero."""
     time, none = np.arange(speed.size) / RATE, np.zeros(speed.size)
     angle = np.cumsum(speed) / RATE
     load = np.broadcast_to(torque, speed.shape).astype(np.float64)
@@ -82,7 +82,7 @@ def test_creep_starts_anew_with_every_stretch() -> None:
 
 
 def rested(*lengths: int) -> Array:
-    """Speed of runs of these lengths with a rest of half a second before each but the first [rad/s]."""
+    """Speed [rad/s] of runs with these lengths and rests of half a second between them."""
     parts = [np.repeat([0.0, 30.0], [25 * (index > 0), n]) for index, n in enumerate(lengths)]
     return np.concatenate(parts)
 
@@ -91,9 +91,9 @@ def rested(*lengths: int) -> Array:
     ("speed", "lengths"),
     [
         (rested(200, 150, 100, 300), (212, 175, 125, 313)),
-        # A stop and start of some samples is no rest, and what comes of it no run.
+        # A stop of a few samples is no rest, and the few samples after it are no run.
         (np.concatenate((rested(200, 150), np.repeat([0.0, 30.0], [2, 3]), rested(0, 300))), (212, 180, 313)),
-        (rested(3, 200, 150, 300), (28 + 212, 175, 313)),  # nor at the very beginning
+        (rested(3, 200, 150, 300), (28 + 212, 175, 313)),  # the same at the beginning
     ],
 )
 def test_a_constant_for_every_run_between_rests_but_the_first(speed: Array, lengths: tuple) -> None:
@@ -106,7 +106,7 @@ def test_a_slow_run_is_no_longer_rest_than_a_fast_one() -> None:
     speed = (fast, 30.0 * ramp[::-1], rest, 0.6 * ramp, np.full(99, 0.6), rest, fast)
     found = columns("rests", made(np.concatenate(speed)))
     assert int(np.flatnonzero(found[:, 0])[0]) == pytest.approx(200 + 40 + 10, abs=2)
-    gaps = made(np.full(FEW, 30.0), 20.0, np.arange(FEW) // 200)  # rests that nobody saw
+    gaps = made(np.full(FEW, 30.0), 20.0, np.arange(FEW) // 200)  # rests without samples
     assert_array_equal(columns("rests", gaps), gaps.run[:, None] == [1, 2])
 
 
@@ -126,7 +126,7 @@ STRETCHES = np.arange(FEW) // 40
 @pytest.mark.parametrize(
     ("name", "speed", "torque", "run", "expected"),
     [
-        # Very many stretches show no creep, two runs or very many no rests.
+        # Too many stretches give no creep; two runs or too many give no rests.
         ("creep", both_ways(), 20.0, STRETCHES, True),
         ("creep", both_ways(), 20.0, STRETCHES // 2, False),
         ("rests", rested(200, 300), 20.0, None, True),
@@ -156,7 +156,7 @@ def test_bump_is_at_its_place_every_turn(turning: Signals) -> None:
 @pytest.mark.parametrize("position", [0.03, 1.7, 4.4, 6.26])
 @pytest.mark.parametrize("width", [0.06, 0.15])
 def test_scan_finds_a_bump(turning: Signals, position: float, width: float) -> None:
-    """Of a size of the noise, to a cell of the scan's, beside an offset."""
+    """A bump as large as the noise, with an offset, is found within a few cells of the scan."""
     noise = np.random.default_rng(1).normal(0.0, 1.0, turning.size)
     rest = 3.0 + noise + 1.0 * PLACE.columns(turning, (position, width))[:, 0]
     found = {wide: at for at, wide in PLACE.starts(turning, rest).points}
@@ -187,7 +187,7 @@ LINE = OUTPUT_LINES[0]
 
 
 def test_a_line_of_the_output_is_found_over_part_of_its_turn() -> None:
-    """0.6 of a turn: a spectrum is blurred over two numbers, what a fit leaves is not."""
+    """Over 0.6 of a turn a spectrum blurs two orders, but a fit's residual does not."""
     signals = made(np.repeat([63.0, -63.0], 300))
     assert np.ptp(signals.output_angle) == pytest.approx(0.6 * 2.0 * np.pi, rel=0.01)
     line = np.cos(45.0 * signals.output_angle - 1.0)
@@ -200,7 +200,7 @@ def test_a_line_of_the_output_is_found_over_part_of_its_turn() -> None:
 
 @pytest.mark.parametrize("number", [3, 64, 72, 98, 100, 128, 180, 195])
 def test_a_line_is_not_the_gear_s_nor_an_encoder_s(number: int) -> None:
-    """One beside the gear's own order is, or a ripple there, which torque widens, is named for it."""
+    """Orders next to the gear's own remain, because torque widens a ripple of the gear."""
     signals = made(np.repeat([63.0, -63.0], 300))
     starts = LINE.starts(signals, np.cos(number * signals.output_angle - 1.0)).points
     assert ((float(number),) in starts) is (number == 98)

@@ -1,4 +1,4 @@
-"""An input known by its velocity: integrated along the streams, and only where it is a sensor of its own."""
+"""An input known by its velocity: integrated along the streams, and only from a separate sensor."""
 
 import dataclasses
 from pathlib import Path
@@ -25,7 +25,7 @@ from hd_diag.streams.columns import JointStates
 
 Array = np.ndarray
 RATIO = 100.0
-LINE = 60e-6  # of the error at 200 per output turn [rad]
+LINE = 60e-6  # error at 200 per output turn [rad]
 NAMES = Names("motor", "link", keys=("-", "", "", "v"), input_factor=RATIO, velocity_ratio=RATIO)
 JOINT = resolve({"joint_1.input": "velocity"}).joints[0]
 
@@ -42,7 +42,7 @@ def taken(time: Array, angle: Array, speed: Array, at_once: int, names: Names = 
 
 
 def swung() -> tuple[Array, Array, Array]:
-    """Times, a link's angle with a line of error, and the velocity of the motor beside it over the ratio."""
+    """Times, link angle with a line of error, and the motor's velocity divided by the ratio."""
     time = np.arange(4000) / 500.0
     motor = 0.8 * np.sin(0.9 * time)
     return time, motor + LINE * np.cos(200.0 * motor), 0.8 * 0.9 * np.cos(0.9 * time)
@@ -63,7 +63,7 @@ def test_messages_one_by_one_give_the_same() -> None:
     for at_once in (1, 7):
         for one, other in zip(whole[1:], taken(time, angle, speed, at_once)[1:], strict=True):
             assert_array_equal(one, other)
-    unknown = np.full(time.size, np.nan)  # a velocity alone is no angle
+    unknown = np.full(time.size, np.nan)  # a velocity alone gives no angle
     assert taken(time, unknown, speed, time.size).row.size == 0
     assert taken(time, angle, unknown, time.size).row.size == 0
 
@@ -71,7 +71,7 @@ def test_messages_one_by_one_give_the_same() -> None:
 def test_errors_of_a_velocity_are_forgotten_gaps_left_out() -> None:
     time = np.arange(0.0, 300.0, 0.02)
     found = taken(time, np.zeros(time.size), np.full(time.size, 1e-4), time.size)
-    assert found.input_angle[-1] / RATIO == pytest.approx(1e-4 * 30.0, rel=1e-3)  # what is off, times 30 s
+    assert found.input_angle[-1] / RATIO == pytest.approx(1e-4 * 30.0, rel=1e-3)  # velocity error times 30 s
     time, angle, speed = swung()
     kept = (time < 3.0) | (time > 4.0)
     found = taken(time[kept], angle[kept], speed[kept], time.size)
@@ -98,7 +98,7 @@ def velocity_of(angle: Array, time: Array) -> Array:
 
 @pytest.fixture(scope="module")
 def bags(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """A joint with an error of its gear; velocity of the motor's encoder, or of the link's, filtered."""
+    """Bags of a joint with a gear error: velocity of the motor's encoder, or of the link's, filtered."""
     folder, made = tmp_path_factory.mktemp("velocity"), record(3)
     step = 2.0 * np.pi / 2**14 / RATIO
     motor = step * np.rint((made.angle - LINE * np.cos(200.0 * made.angle)) / step)
@@ -131,7 +131,7 @@ def test_a_filtered_position_is_refused_in_words(bags: dict[str, Path], tmp_path
 
 
 def test_the_monitor_measures_the_error_of_the_gear(bags: dict[str, Path]) -> None:
-    """What node and replay run: the line that the velocity hides, message by message."""
+    """As in node and replay: message by message, the line that the link's velocity would hide."""
     made = record(3)
     rows = np.flatnonzero(np.abs(made.speed) > 0.1)[:300]
     motor = made.angle - LINE * np.cos(200.0 * made.angle)
@@ -149,7 +149,7 @@ def test_the_monitor_measures_the_error_of_the_gear(bags: dict[str, Path]) -> No
 
 @pytest.mark.slow
 def test_a_cause_is_named_by_a_velocity() -> None:
-    """The eccentric encoder of a motor, though the velocity drifts; the difference of angles is late."""
+    """The motor's eccentric encoder, despite a drifting velocity; differentiating the angle makes it late."""
     made = generated("one_effect", 12, "input_encoder_eccentricity")
     rng = np.random.default_rng(0)
     drift = np.cumsum(1e-6 * rng.standard_normal(made.time.size))  # [rad]

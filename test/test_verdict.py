@@ -1,4 +1,4 @@
-"""A diagnosis in words and in JSON: the contract's keys, nothing that is not a number, one sentence."""
+"""A diagnosis in words and in JSON: the contract's keys, finite numbers only, one sentence."""
 
 import dataclasses
 import json
@@ -34,7 +34,7 @@ pytestmark = pytest.mark.usefixtures("accuracy_once")
 CONFIGURED = joint().drive
 EFFECTS = {effect.name: effect for effect in CATALOGUE}
 
-# What other people's scripts read; after a semicolon what stands there beside it.
+# Keys that other people's scripts read; after a semicolon, further keys.
 KEYS = {
     "": "schema joint record nominal refit causes unexplained extended noise_floor gain testability model "
     "remainders misfit action verdict judgement described normal; findings hints evidence tolerance "
@@ -55,7 +55,7 @@ KEYS = {
 
 
 def cause(name: str, size: float = 4.0, alike: tuple = (), none: float = -20.0, own: Any = None) -> Cause:
-    """All of it its own, others a little less probable, and none in its place by so many log odds."""
+    """A cause whose amplitude is its own, with slightly less probable alternatives; ``none``: log odds."""
     effect, amplitude = EFFECTS[name], size * ARCSEC
     values = {q.name: max(q.low, min(q.high, 1.0)) for q in effect.quantities}
     coefficients, nonlinear = effect.from_physical(values)
@@ -66,7 +66,7 @@ def cause(name: str, size: float = 4.0, alike: tuple = (), none: float = -20.0, 
 
 
 def function(effect: Remainder, largest: float = 9.0 * ARCSEC, larger: bool = True) -> Function:
-    """Greatest at 20 of its units."""
+    """A function whose greatest value lies at 20 of its units."""
     coefficients = np.zeros(effect.size)
     return Function(effect, (1e-6, 0.0, 1.0), coefficients, largest / 3.0, largest, 20.0, larger, True)
 
@@ -92,7 +92,7 @@ BY_CURRENT = dataclasses.replace(RECORD, by_current=True)
 
 
 def rms_of(*sizes: float, **more: float) -> Rms:
-    """In the order of its fields [arcsec]."""
+    """Rms from sizes in the order of its fields [arcsec]."""
     return Rms(*(ARCSEC * size for size in sizes), **more)
 
 
@@ -229,7 +229,7 @@ ALIKE = cause("output_runout", 2.5, ("output_encoder_eccentricity",))
             diagnosis(unexplained=(SIDED,)),
             "unexplained: 3.37 per input turn under positive torque, 2.00 arcsec.",
         ),
-        (  # what the table of orders describes is not told twice
+        (  # lines in the table of orders are not repeated
             diagnosis(found=found(table=(ROW,)), unexplained=(LINE, TIME_LINE)),
             "unexplained: 7.30 Hz, 2.00 arcsec; described, not explained: "
             "3.372 per input turn (2.00 arcsec).",
@@ -247,7 +247,7 @@ ALIKE = cause("output_runout", 2.5, ("output_encoder_eccentricity",))
     ],
 )
 def test_the_sentence(made: Diagnosis, said: str) -> None:
-    """Its end; the whole of it where nothing comes before."""
+    """``said`` ends the sentence, or is all of it if nothing comes before."""
     assert sentence(Answer(made)).endswith(said)
     assert said.startswith((";", "unexplained")) or sentence(Answer(made)) == said
 
@@ -266,7 +266,7 @@ def test_the_sentence(made: Diagnosis, said: str) -> None:
     ],
 )
 def test_severity_comes_first(most: float, place: str, said: str) -> None:
-    """Catalogue's accuracy, then what the assembly may have; before anything that was found."""
+    """First the catalogue's accuracy, then the allowed eccentricity; both before any finding."""
     made = diagnosis(cause("hysteresis"), allowed=Allowed(most, "peak_tooth_load"))
     first, _, _ = sentence(Answer(made)).partition(";")
     assert re.fullmatch(
@@ -283,7 +283,7 @@ def test_severity_comes_first(most: float, place: str, said: str) -> None:
 
 
 def test_what_a_motor_s_current_costs_is_said() -> None:
-    """Its constant and friction are told; a compliance is not: only the product shows."""
+    """Constant and friction are reported; a compliance is not, because only the product shows."""
     effect = EFFECTS["motor_current"]
     values = {q.name: 1.0 for q in effect.quantities} | {"relative_error": -0.12, "friction": 4.8}
     coefficients, nonlinear = effect.from_physical(values)
@@ -313,7 +313,7 @@ def test_a_bound_is_not_told_of_a_model_that_does_not_describe_the_record() -> N
 
 
 def test_scatter_of_the_encoders_zeros_is_told() -> None:
-    """Of several recordings; of one there is nothing to tell."""
+    """Several recordings have a scatter; a single one has none to report."""
     zeros = tuple(ARCSEC * np.array([10.0, 20.0, 60.0]))
     made = diagnosis(encoder_zeros=zeros)
     scatter = pytest.approx(np.std(zeros, ddof=1))
@@ -330,7 +330,7 @@ def test_causes_that_predict_nothing_are_doubted() -> None:
 
 
 def test_a_cause_that_another_explains_better_is_a_hint() -> None:
-    """Where the other one is nearly sure, its class is without the cause that was fitted."""
+    """If the other cause is almost certain, its class omits the fitted cause."""
     one = cause("coupling_misalignment")
     odds = {"coulomb_windup": 0.0, "coupling_misalignment": -8.0, "": -20.0}
     made = diagnosis(dataclasses.replace(one, standing=dataclasses.replace(one.standing, values=odds)))
@@ -340,7 +340,7 @@ def test_a_cause_that_another_explains_better_is_a_hint() -> None:
 
 
 def test_what_is_left_in_one_band_says_nothing_of_the_other() -> None:
-    """A slow misfit weakens what is slow; without bands all is weakened, and beside noise alone nothing."""
+    """A slow misfit weakens slow causes; without bands it weakens all; noise alone weakens none."""
     rms = rms_of(20.0, *[9.0] * 5, 3.0, 2.9, 3.1, beyond=4.0, gear=1.0)
     assert (rms.overstated(0.0), rms.overstated(1.0)) == (1.0, 4.0)
     assert rms.overstated(0.5) == pytest.approx(math.sqrt(0.5 * (16.0 + 1.0)))
@@ -350,7 +350,7 @@ def test_what_is_left_in_one_band_says_nothing_of_the_other() -> None:
 
 
 def test_causes_that_undo_each_other_as_the_model_runs_are_doubted() -> None:
-    """What runs is then the gear with its parameters alone, though the fit itself leaves only noise."""
+    """Then the drive with its parameters alone is the running model, although the fit leaves only noise."""
     ran = rms_of(20.0, 14.0, 219.7, 219.7, 4.3, 219.0, 4.2, 4.1, 4.3)
     alone = dataclasses.replace(ran, named=14.1 * ARCSEC, extended=14.1 * ARCSEC, live=14.2 * ARCSEC)
     assert ran.offline == 4.3 * ARCSEC
@@ -371,7 +371,7 @@ def test_the_lines_name_gain_and_what_was_not_testable() -> None:
     assert where.startswith("direction: counter-clockwise from where the wave generator's long axis stands")
     assert rest == [
         f"inspect: {EFFECTS['hysteresis'].inspect}",
-        "not testable here: resonance, stream delay: one speed only",  # lacking for the same reason
+        "not testable here: resonance, stream delay: one speed only",  # one line for one reason
         "not testable here: thermal drift: no heat",
     ]
 
@@ -380,7 +380,7 @@ NEVER = {"torsional_hardening", "torque_gain", "wear_backlash"}
 
 
 def test_what_is_not_named_is_not_absent() -> None:
-    """Hints, those that no record like this tells from a cause, and what a misfit or doubts may hide."""
+    """Undecided are hints, causes that no such record shows, and those that a misfit or doubts may hide."""
     assert diagnosis().undecided.keys() == NEVER
     named = diagnosis(cause("output_runout", alike=("output_encoder_eccentricity",))).undecided
     assert named.keys() == NEVER | {"output_encoder_eccentricity"}

@@ -1,4 +1,4 @@
-"""What a watcher knows and shows, without ROS: state, hostile texts, narrow terminals, a pipe."""
+"""State and output of a watcher without ROS: hostile texts, narrow terminals, a pipe."""
 
 import contextlib
 import io
@@ -129,7 +129,7 @@ def test_a_joint_is_silent_after_three_periods(period: float, silent_after: floa
     take(watch, 100.0, message())
     assert not watch.view(100.0)[0].silent
     (view,) = watched(message(level=2, fault_code="STALE", fault_codes="STALE RESIDUAL")).view(0.0)
-    assert (view.stale, view.silent) == (True, False)  # a node without samples reports
+    assert (view.stale, view.silent) == (True, False)  # a node without samples still reports
 
 
 def test_json_holds_every_value_with_its_kind() -> None:
@@ -161,7 +161,7 @@ def test_any_text_gives_valid_json_and_printable_lines(joint: str, text: str, lo
 
 @pytest.mark.parametrize("width", [80, 160])
 def test_a_terminal_shows_all_that_a_report_says(width: int) -> None:
-    """Numbers in columns; fault and verdict wrapped, never cut."""
+    """Numbers in columns; fault and verdict are wrapped, not cut."""
     fault = "residual repeats twice per input turn with 24.5 arcsec (input 2); typical of an eccentricity"
     own = {"fault_code": "RESIDUAL", "fault_codes": "RESIDUAL STALE", "residual_rms_arcsec": "17.55"}
     own |= {"verdict": "As configured.", "verdict_time": "2026-01-02T03:04:05"}
@@ -194,7 +194,7 @@ def test_a_fault_has_the_colour_of_its_level_and_a_silent_joint_none(level: int,
 
 
 def test_where_not_all_fit_the_worst_are_shown(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The last picture has all joints."""
+    """The final picture shows all joints."""
     for name, value in {"TERM": "xterm-256color", "COLUMNS": "80", "LINES": "24"}.items():
         monkeypatch.setenv(name, value)
     stream = Terminal()
@@ -225,14 +225,14 @@ def test_a_pipe_gets_a_table_a_second_and_another_fault_at_once(monkeypatch: pyt
     assert stream.getvalue().startswith("no report of an hd_diag node yet: ")
     said = [words for words in stream.getvalue().splitlines() if words.startswith("/hd_diag joint_1: ")]
     codes = [words.split(": ")[1].split()[0].strip(";") for words in said[:-1]]
-    # At 0.25, 1.25, ... 4.25, 5 the fault, 5.25 its end, 6.25, 7.25 s.
+    # At 0.25, 1.25, ... 4.25 s; the fault at 5, its end at 5.25, then 6.25 and 7.25 s.
     assert (len(codes), codes.count("RESIDUAL")) == (9, 1)
     assert [words for words in said if "no report for 32 s" in words] == said[-1:]
     assert "\x1b" not in stream.getvalue()
 
 
 def test_a_terminal_is_drawn_four_times_a_second_and_left_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The cursor is back after Ctrl-C too. A dumb terminal gets no codes."""
+    """The cursor is back, also after Ctrl-C. A dumb terminal gets no codes."""
     monkeypatch.setenv("COLUMNS", "80")
     for kind in ("xterm-256color", "dumb"):
         monkeypatch.setenv("TERM", kind)
@@ -246,7 +246,7 @@ def test_a_terminal_is_drawn_four_times_a_second_and_left_as_it_was(monkeypatch:
             assert written.count("/hd_diag joint_1: OK") == 1
             assert "\x1b" not in written
         else:
-            assert 3 <= written.count("hd-diag watch") <= 6  # and once more at the end
+            assert 3 <= written.count("hd-diag watch") <= 6  # one more at the end
             assert written.count("\x1b[?25l") == written.count("\x1b[?25h") == 1
 
 

@@ -1,4 +1,4 @@
-"""`hd-diag watch` beside real nodes, over DDS, in a process of its own."""
+"""`hd-diag watch` with real nodes, over DDS, in a separate process."""
 
 import contextlib
 import itertools
@@ -23,12 +23,12 @@ JOINTS = ("shoulder", "elbow")
 COMMAND = [sys.executable, "-m", "hd_diag", "watch"]
 SET_PARAMETERS = Path(__file__).resolve().parent.parent / "docs/examples/set_parameters.py"
 LIMIT = 60.0  # on a busy machine [s]
-TIMEOUT = 15  # of what waits for what does not come, beside the other tests [s]
+TIMEOUT = 15  # for commands that wait in vain while other tests run [s]
 
 
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    """A node with two joints that bears silence, and one sample of each."""
+    """A node with two joints that tolerates silence, and one sample of each."""
     folder = tmp_path_factory.mktemp("arm")
     silence = (f"{joint}.limits.silence.{level}" for joint in JOINTS for level in ("warn", "error"))
     with running(folder, parameters(*JOINTS, diagnostics_rate=10.0) | dict.fromkeys(silence, 1e6)) as rig:
@@ -60,7 +60,7 @@ def following(*arguments: str) -> contextlib.AbstractContextManager[subprocess.P
 
 @pytest.fixture(scope="module")
 def waiting(arm: Rig) -> Iterator[list[subprocess.Popen[str]]]:
-    """What waits for a joint that nobody has, for a namespace without a node, and for such a node."""
+    """Commands that wait for an unknown joint, for a namespace without a node, and for such a node."""
     once, here = ("--once", "--timeout", str(TIMEOUT), "--namespace"), arm.process.namespace
     with (
         following(*once, here, "--joint", "elbow", "--joint", "elbow_9") as joint,
@@ -75,7 +75,7 @@ def line_with(process: subprocess.Popen[str], *words: str) -> str:
 
 
 def test_once_shows_every_joint_as_the_diagnostics_say(arm: Rig, tmp_path: Path, monkeypatch) -> None:
-    """JSON in a file, and a table with a line below for each joint on a pipe."""
+    """JSON in a file; on a pipe, a table and one line per joint."""
     monkeypatch.setenv("FORCE_COLOR", "1")
     arm.set(elbow__eccentricity__magnitude=18e-6, elbow__eccentricity__direction=1.5707963267948966)
     reported = {joint: arm.values(joint) for joint in JOINTS}
@@ -173,7 +173,7 @@ def test_a_timeout_is_one_line_with_what_is_there(arm: Rig, waiting: list[subpro
 
 
 def test_hostile_diagnostics_do_no_harm() -> None:
-    """Over DDS, on /diagnostics, where the nodes of these tests are not."""
+    """Over DDS on /diagnostics, which the nodes of these tests do not use."""
     node = rclpy.create_node("hostile")
     publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
     text = "[red]\x1b[2J\x1b]0;title\x07\u202e" + "x" * 100_000

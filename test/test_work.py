@@ -1,4 +1,4 @@
-"""The time that a diagnosis may take: what ends by it, what never does, and how far the work says it is."""
+"""Time limit of a diagnosis: parts that it ends, parts that it never ends, and reported progress."""
 
 import json
 from pathlib import Path
@@ -24,7 +24,7 @@ LINES = {"amplitude": 5e-5, "phase": 0.4, "second_amplitude": 0.0, "second_phase
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    """Computing time, set by the test [s]."""
+    """Process time [s], set by the test."""
     now = [100.0]
     monkeypatch.setattr(work.time, "process_time", lambda: now[0])
     return now
@@ -38,7 +38,7 @@ def test_a_part_ends_where_its_share_of_the_time_is_gone(clock: list[float]) -> 
                 limited.check()
                 clock[0] += 2.0
                 steps.append(name)
-        limited.check()  # outside a part there is no end
+        limited.check()  # outside a part there is no limit
     assert (steps, limited.left_out) == (["one"] * 3, ["one", "other"])
 
 
@@ -78,11 +78,11 @@ def test_a_diagnosis_out_of_time_says_what_it_left_out() -> None:
     assert (found.causes, found.left_out[:2]) == ((), (DATUM_REACH, FURTHER_CAUSES))
     assert not any(test.testable for test in found.testable)
     assert "testing what this motion could have shown" in found.left_out
-    assert found.refitted.doubt.startswith("there was no time")  # no displacement is told from it
+    assert found.refitted.doubt.startswith("there was no time")  # so it reports no displacement
     told = json.loads(json.dumps(as_json(found, "joint_1"), allow_nan=False))
     assert (told["judgement"], told["left_out"]) == ("misfit", [*found.left_out])
     floor = told["noise_floor"]["rms"]
-    assert told["extended"]["rms"] > 2.0 * floor > 2.0 * ARCSEC  # remainders take what is slow
+    assert told["extended"]["rms"] > 2.0 * floor > 2.0 * ARCSEC  # remainders contain slow parts
     assert (len(told["unexplained"]) > 0, told["refit"]["parameters"] != {}) == (True, True)
     verdict = sentence(Answer(found))
     assert verdict.startswith("the model does not describe this record")
