@@ -72,7 +72,7 @@ def believable(stored: int) -> int:
 
 
 def check_claim(claimed: int, stored: int) -> None:
-    """Raise ValueError if a size [byte] exceeds `MAX_CHUNK`, or `claimed` exceeds what is `believable`."""
+    """Raise ValueError if a size [byte] exceeds `MAX_CHUNK`, or `claimed` exceeds the `believable` size."""
     if max(claimed, stored) > MAX_CHUNK:
         raise ValueError(f"it claims {max(claimed, stored)} bytes, more than {MAX_CHUNK}")
     if claimed > believable(stored):

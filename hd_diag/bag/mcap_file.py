@@ -65,7 +65,7 @@ class Stream:
 
 
 class Written(NamedTuple):
-    """Path of a file, and statistics of what has reached the operating system; kept after its end."""
+    """Path of a file, and statistics of its records in the operating system; kept after the file's end."""
 
     path: Path
     statistics: records.Statistics

@@ -60,7 +60,7 @@ _RUN = 1 << 20  # messages outside of chunks form sections of about this size [b
 _MOST_OPEN = 4  # large chunks open at once, because chunks overlap in time
 
 
-# What the libraries raise on damaged content.
+# Errors that the libraries raise on damaged content.
 _DAMAGE = (ValueError, struct.error, zstandard.ZstdError, RuntimeError, McapError, EOFError, MemoryError)
 
 

@@ -146,7 +146,7 @@ def recover(
                     progress(min(before + reached, total), total)
                 before += size
             if report.complete:
-                begin()  # an empty whole bag gives an empty whole bag
+                begin()  # a whole but empty bag is copied too
             paths = begin().paths if begin.cache_info().currsize else []
         if paths:
             _verify(paths, sum(file.messages for file in files), lambda: progress(total, total))

@@ -180,7 +180,7 @@ def _forget(file: Path) -> None:
 
 
 def _remove_empty(folder: Path) -> None:
-    """Delete a folder without bag files, unless it has other files; verdicts that nobody holds go too."""
+    """Delete a folder without bag files and its unlocked verdicts, unless it has other files."""
     verdicts = [*folder.glob("verdict_*")]
     if not [*_files(folder)] and not any(map(_is_held, verdicts)):
         for verdict in verdicts:

@@ -24,7 +24,7 @@ from hd_diag.messages.schemas import MAX_READ, Definition, too_long
 # less than 200 steps.
 _STEPS_PER_BYTE = 100
 _STEPS_PER_TURN = 10_000
-_ROWS, _BYTES = 4096, 4 << 20  # read at a time, [byte] for the second
+_ROWS, _BYTES = 4096, 4 << 20  # rows, and bytes, read at a time
 _HEADS = 1 << 16  # rows checked for steps of the clock at a time
 _DAMAGE = (sqlite3.Error, TypeError, ValueError, OverflowError)
 # SQLite knows the length without reading the data only for a BLOB.
@@ -175,7 +175,7 @@ class SqliteFile:
         if isinstance(exc, ValueError):
             return exc if isinstance(exc, BagError) else BagError(self._path, exc)
         what = f"SQLite: {exc}" if isinstance(exc, sqlite3.Error) else f"is damaged: {exc}"
-        # Subclasses mean no damage, but for example no right to read, or a query that takes too long.
+        # Subclasses do not mean damage: no right to read, a query that takes too long.
         if not isinstance(exc, sqlite3.Error) or type(exc) is sqlite3.DatabaseError:
             what += f"; {self._advice}"
         return BagError(self._path, what)

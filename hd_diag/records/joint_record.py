@@ -78,7 +78,7 @@ def read_bags(paths: Sequence[str | Path], joint: JointConfig) -> Record:
 
 
 def nothing(paths: Sequence[str | Path], joint: JointConfig, stamps: Stamps | None = None) -> str:
-    """Text on an angle that bags lack, and why or what they hold; for one angle, what a driver must send."""
+    """Text on the angles that bags lack, with the reason or the bags' content, or advice for one angle."""
     roles = (joint.signals.input, joint.input_joint), (joint.signals.output, joint.output_joint)
     given, measured = (place(*role) for role in roles)
     text = f"no input angle ({given}) with output angle ({measured}) in {', '.join(map(str, paths))}"

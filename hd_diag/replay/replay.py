@@ -42,7 +42,7 @@ Progress = Callable[[int, int], None]
 class Replay:
     """Result of a replay.
 
-    `reproduced`: the bag is the node's own log, and the replay followed its events, no given configuration.
+    `reproduced`: the bag is the node's own log, and the replay followed its events without a configuration.
     `messages` and `written` are the numbers of messages read and written, `duration` is the time from the
     bag's first to its last message [s]. By joint: samples `rejected` and the reason for the last, samples
     `missed` according to the stamps, and samples with zero stamps. `problems`: damage of the bag, joints
@@ -80,7 +80,7 @@ def replay(
         Bag of any storage that rosbag2 has, or the node's own log.
     out : path
         Bag to write: inputs, outputs and events, as in the node's log. After an error it is left without its
-        end, so that no reader takes it for whole; a bag that it would replace stays as it was.
+        end, so that no reader takes it for whole; a bag that it would replace stays unchanged.
     config : Config, optional
         Without it the bag must be a node's log. The replay then follows its configuration and every change
         of it. The outputs equal those of the live run to the last bit if the software versions are the same.
