@@ -1,4 +1,4 @@
-"""The bag edge: recordings as rosbag2 writes and reads them, as columns of numbers; no ROS is needed."""
+"""Bags: reads and writes recordings in rosbag2's formats as columns of numbers, without ROS."""
 
 from rosbags.interfaces import Qos
 

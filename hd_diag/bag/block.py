@@ -1,4 +1,4 @@
-"""What every storage gives: topics, and messages side by side in one buffer, their heads as columns."""
+"""Common output of all storages: topics, and blocks of messages in one buffer with their heads as columns."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from hd_diag.messages.schemas import Definition
 Payload = Bytes | list[memoryview]
 
 NO_SCHEMA = "no schema"
-"""What is `foreign` about a topic whose type nobody tells."""
+"""Value of `Topic.foreign` for a topic without a schema."""
 
 
 @dataclass
 class Topic:
-    """A topic of a bag: its messages, the type as the bag defines it, offered QoS profiles (YAML).
+    """A topic of a bag: number of messages, type as the bag defines it, offered QoS profiles (YAML).
 
     `foreign` says why the messages cannot be read: an encoding other than CDR, or no schema. It is empty for
     topics that can be read.
@@ -34,13 +34,13 @@ class Topic:
 
     @property
     def content(self) -> str:
-        """For people: the type of the messages, or why they cannot be read."""
+        """Readable text: the type of the messages, or why they cannot be read."""
         return f"{self.foreign}: not read" if self.foreign else self.type_name
 
 
 @dataclass(frozen=True)
 class LongMessage:
-    """A message too long to be held: its size [byte], and a reader that gives it piece by piece."""
+    """A message too long for memory: its size [byte], and a function that reads its content in pieces."""
 
     size: int
     read: Callable[[], Iterator[bytes | memoryview]]
@@ -51,9 +51,9 @@ class LongMessage:
 
 @dataclass(frozen=True)
 class Block:
-    """Messages in one buffer `data`: place and size of each content there [byte], channel, times [ns], (n,).
+    """n messages in one buffer `data`; offsets and sizes [byte], channels and times [ns] have shape (n,).
 
-    Times that do not fit into 63 bits are negative. The content of one `long` message is not in the buffer.
+    Times that do not fit into 63 bits are negative. The content of a `long` message is not in the buffer.
     """
 
     data: Bytes
@@ -71,7 +71,7 @@ class Block:
         return Block(self.data, *(column[rows] for column in self._columns()), long=self.long)
 
     def payload(self) -> Payload:
-        """Contents of the messages: an array of shape (n, size) where they have one size."""
+        """Contents of the messages: an array of shape (n, size) if all have one size, otherwise a list."""
         if len(self) and (self.size == self.size[0]).all():
             return gather(self.data, self.offset, int(self.size[0]))
         return [*self.messages()]
@@ -83,11 +83,11 @@ class Block:
             yield view[offset : offset + size]
 
     def compact(self) -> Block:
-        """The same messages in a buffer of their own, if they are a small part of this one."""
+        """The block, copied to its own buffer if its messages fill at most a quarter of this one."""
         return self if 4 * int(self.size.sum()) > len(self.data) else self.holding([*self.messages()])
 
     def holding(self, contents: Sequence[bytes | memoryview]) -> Block:
-        """The messages with other contents."""
+        """The same messages with new contents, in a new buffer."""
         size = np.array([len(content) for content in contents], np.int64)
         data = np.frombuffer(b"".join(contents), np.uint8)
         return Block(data, np.cumsum(size) - size, size, *self._columns()[2:])
@@ -97,7 +97,7 @@ class Block:
 
 
 def joined(blocks: Sequence[Block]) -> Block:
-    """All messages of the blocks, at least one, in one buffer and in the order of log time."""
+    """All messages of one or more blocks in one buffer, sorted by log time."""
     block = blocks[0]
     if len(blocks) > 1:
         starts = np.cumsum([0, *(len(b.data) for b in blocks[:-1])])
@@ -113,7 +113,7 @@ def joined(blocks: Sequence[Block]) -> Block:
 
 
 def gather(data: Bytes, offset: Integers, size: int) -> Bytes:
-    """Rows of `size` bytes that begin at the offsets, shape (n, size); a view where evenly spaced."""
+    """Rows of `size` bytes that begin at the offsets, shape (n, size); a view if they are evenly spaced."""
     if size == 0 or len(offset) == 0:
         return np.empty((len(offset), size), np.uint8)
     windows = np.lib.stride_tricks.sliding_window_view(data, size)

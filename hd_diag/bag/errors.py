@@ -1,4 +1,4 @@
-"""The one exception of the bag edge, and what may be written: outputs beside inputs and older bags."""
+"""The exception of this package, and checks and locks that protect inputs and existing bags."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 from hd_diag.formatting import visible
 
 _TAKEN = "is being written by another process"
-_LONGEST = 300  # characters of a path or a cause: names in a bag may be hostile
+_LONGEST = 300  # characters of a path or cause, because names in a bag may be hostile
 
 
 class BagError(ValueError):
@@ -38,7 +38,7 @@ def check_output(out: str | os.PathLike[str], *inputs: str | os.PathLike[str]) -
 
 
 def _resolved(name: str | os.PathLike[str]) -> Path:
-    """Real place of a path; before Python 3.13 a circle of links is a RuntimeError."""
+    """Path with links resolved; a loop of links raises RuntimeError before Python 3.13, here BagError."""
     try:
         return Path(name).resolve()
     except RuntimeError:
@@ -47,11 +47,12 @@ def _resolved(name: str | os.PathLike[str]) -> Path:
 
 @contextmanager
 def replaced(path: str | os.PathLike[str], *, overwrite: bool) -> Iterator[Path]:
-    """Give the place to write a bag, so that the bag it replaces stays until the new one is whole.
+    """Yield a path for writing a bag; the bag that it replaces stays until the new one is complete.
 
-    The place is `path`, as for `BagWriter`, without `overwrite` or if there is no bag yet; otherwise it lies
-    beside the old bag. After an exception, Ctrl-C included, the old bag is as it was. Raises BagError if the
-    old bag is being written or cannot be replaced. A BagError of the body about the new bag names `path`.
+    Without `overwrite`, or if no bag exists yet, this is `path` itself, as for `BagWriter`. Otherwise it is a
+    temporary path beside the old bag. After an exception, also Ctrl-C, the old bag is unchanged. Raises
+    BagError if the old bag is being written or cannot be replaced. A BagError of the ``with`` body about the
+    new bag is raised again with `path`.
     """
     place = Path(path)
     if not (overwrite and (place.is_dir() or (place.suffix == ".mcap" and place.is_file()))):
@@ -60,7 +61,7 @@ def replaced(path: str | os.PathLike[str], *, overwrite: bool) -> Iterator[Path]
     try:
         check_not_written(old := place.resolve())
         with TemporaryDirectory(prefix=f".{old.name}.", dir=old.parent) as folder:
-            # The name decides between file and folder, and a folder's names its files.
+            # The suffix decides between file and folder, and a folder's name is part of its file names.
             draft = Path(folder) / (place.name if old.is_file() else old.name)
             try:
                 yield draft
@@ -74,7 +75,7 @@ def replaced(path: str | os.PathLike[str], *, overwrite: bool) -> Iterator[Path]
 
 
 def check_not_written(bag: Path) -> None:
-    """Raise BagError for a bag that a writer of this package holds; OSError where it cannot be looked at."""
+    """Raise BagError if a writer of this package has locked the bag, OSError if a file cannot be opened."""
     for file in [bag] if bag.is_file() else bag_files(bag):
         with file.open("rb") as opened:
             if is_locked(opened.fileno()):
@@ -82,7 +83,7 @@ def check_not_written(bag: Path) -> None:
 
 
 def taken(bag: Path) -> BagError:
-    """Why a bag cannot be begun in a place: somebody writes there, or has written."""
+    """The error for a path that is taken: another process writes a bag there, or one exists already."""
     try:
         check_not_written(bag)
     except BagError as error:
@@ -93,13 +94,13 @@ def taken(bag: Path) -> BagError:
 
 
 def bag_files(folder: Path) -> list[Path]:
-    """The bag's files in a folder, without other files; empty if the folder does not exist."""
+    """The bag's own files in a folder; empty if the folder does not exist."""
     own = re.compile(re.escape(folder.resolve().name) + r"_\d+\.(mcap|db3)|metadata\.yaml")
     return [file for file in (folder.iterdir() if folder.is_dir() else ()) if own.fullmatch(file.name)]
 
 
 def _put_in_place(draft: Path, old: Path) -> None:
-    """Move a new bag, where there is one, over the old one; a folder's metadata come last."""
+    """Move a new bag, if any, over the old one, metadata last; then delete surplus files of the old bag."""
     if draft.is_file():
         os.replace(draft, old)
     elif draft.is_dir():
@@ -112,7 +113,7 @@ def _put_in_place(draft: Path, old: Path) -> None:
 
 
 def new_file(path: Path, overwrite: bool) -> int:
-    """File descriptor of a new, locked file; a link is not followed."""
+    """File descriptor of a new or emptied, locked file; symbolic links are not followed."""
     flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | (0 if overwrite else os.O_EXCL)
     fd = os.open(path, flags, 0o666)
     try:
@@ -125,7 +126,7 @@ def new_file(path: Path, overwrite: bool) -> int:
 
 
 def lock(fd: int, path: Path) -> None:
-    """Lock an open file or folder until it is closed; BagError where another writer of a bag has it."""
+    """Lock an open file or folder until it is closed; BagError if another writer has locked it."""
     try:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as exc:
@@ -133,7 +134,7 @@ def lock(fd: int, path: Path) -> None:
 
 
 def is_locked(fd: int) -> bool:
-    """Whether a writer of this package holds the file."""
+    """Whether a writer of this package has locked the file."""
     try:
         fcntl.flock(fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:

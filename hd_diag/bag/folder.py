@@ -1,4 +1,4 @@
-"""Which files make up a bag, what ``metadata.yaml`` says of them, and what is compressed in them."""
+"""Files of a bag, their list in ``metadata.yaml``, and decompression of files or single messages."""
 
 from __future__ import annotations
 
@@ -20,17 +20,18 @@ from hd_diag.bag.rosbag2 import UNREADABLE, load_yaml
 
 _STORED = (".mcap", ".db3")
 _PACKED = ".zstd"
-_ZSTD_FRAME = np.frombuffer(b"\x28\xb5\x2f\xfd", np.uint8)  # it begins so; a message in CDR with a zero
-# What a compressed bag may unpack to: joint states that hardly change shrink to a hundredth [byte], [-].
+_ZSTD_FRAME = np.frombuffer(b"\x28\xb5\x2f\xfd", np.uint8)  # first bytes of zstd data; CDR begins with 0
+# Limit of the unpacked size [byte] plus a multiple [-] of the compressed size. Joint states that hardly
+# change shrink to a hundredth.
 _UNPACKED_LEAST = 1 << 30
 _UNPACKED_RATIO = 100
 
 
 @dataclass
 class BagFiles:
-    """Storage files of a bag in order, missing ones, and whether each message is compressed.
+    """Storage files of a bag in order, problems such as missing files, and whether messages are compressed.
 
-    Counted are messages of topics in CDR, as ``metadata.yaml`` says.
+    `counted` has the number of messages of each CDR topic from ``metadata.yaml``.
     """
 
     paths: list[Path] = field(default_factory=list)
@@ -40,10 +41,10 @@ class BagFiles:
 
 
 def find_files(path: Path, *, lenient: bool = False) -> BagFiles:
-    """Files of a bag: a storage file, or a rosbag2 folder with or without metadata.
+    """Find the files of a bag, given a storage file, or a rosbag2 folder with or without metadata.
 
-    With `lenient`, metadata that cannot be understood are a problem, otherwise an error. A place without
-    files is always an error.
+    With `lenient`, unreadable metadata are only noted as a problem, otherwise they raise BagError. A path
+    without files always raises BagError.
     """
     if path.is_file():
         return BagFiles([path])
@@ -55,8 +56,8 @@ def find_files(path: Path, *, lenient: bool = False) -> BagFiles:
         if not lenient:
             raise
         files = BagFiles(problems=[exc.cause])
-    # A recording that was killed may have files that its metadata does not know yet. If a file and its
-    # compressed copy are both there, the copy is the unfinished one.
+    # The metadata of a killed recording may lack its last files. If a file and its compressed copy both
+    # exist, the copy is unfinished.
     known = {_plain(file) for file in files.paths}
     for file in sorted(path.iterdir(), key=natural):
         if PurePath(_plain(file)).suffix in _STORED and _plain(file) not in known and file.is_file():
@@ -78,7 +79,7 @@ def _listed(folder: Path) -> BagFiles:
         return files
     try:
         info = load_yaml(path)["rosbag2_bagfile_information"]
-        # Only names: a path could lead out of the folder.
+        # Names only, because a path could lead out of the folder.
         names = dict.fromkeys(PurePath(name).name for name in info["relative_file_paths"])
         mode = (info.get("compression_mode") or "").lower()
         for topic in info.get("topics_with_message_count") or []:
@@ -89,7 +90,7 @@ def _listed(folder: Path) -> BagFiles:
         raise BagError(path, f"is not rosbag2 metadata: {exc}") from exc
     files.message_compression = mode == "message"
     for name in names:
-        # It may have been compressed or decompressed since.
+        # The file may have been compressed or decompressed since.
         there = (folder / n for n in (name, name + _PACKED, name.removesuffix(_PACKED)) if n)
         file = next((file for file in there if file.is_file()), None)
         if file is None:
@@ -102,20 +103,20 @@ def _listed(folder: Path) -> BagFiles:
 
 
 def _plain(file: Path) -> str:
-    """Name of a file when it is decompressed."""
+    """File name without the suffix of compression."""
     return file.name.removesuffix(_PACKED)
 
 
 def natural(path: Path) -> list[tuple[int, str]]:
-    """Key that sorts ``bag_10`` after ``bag_9``."""
+    """Sort key that puts ``bag_10`` after ``bag_9``."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]
 
 
 def unpack(path: Path, stack: ExitStack, files: int = 1) -> tuple[Path, str]:
-    """Where the content of a file can be read, and what is wrong with its compression.
+    """Path of the uncompressed file, and what is wrong with its compression, empty if nothing.
 
-    What rosbag2 compressed as a whole is unpacked in a temporary folder that the stack deletes. BagError
-    where it does not fit on the disk, or unpacks to more than can be believed of one of so many files.
+    A file that rosbag2 compressed as a whole is unpacked in a temporary folder, which `stack` deletes.
+    BagError if the disk is full, or if the unpacked size is implausible for one of `files` files.
     """
     if path.suffix != _PACKED:
         return path, ""
@@ -136,13 +137,13 @@ def unpack(path: Path, stack: ExitStack, files: int = 1) -> tuple[Path, str]:
     except OSError as exc:
         where = f"{tempfile.gettempdir()} (TMPDIR)"
         raise BagError(path, f"cannot be decompressed in {where}: {exc.strerror or exc}") from exc
-    return out, ""  # a cut shows in the file itself: its end is missing
+    return out, ""  # a truncated file is noticed by its reader
 
 
 def unpacked(path: Path, block: Block, stated: bool) -> Iterator[Block]:
-    """Messages, each perhaps compressed, a few megabytes at once; BagError as `decompressed`.
+    """Decompress messages if they are compressed; yields a few megabytes at once. BagError as `decompressed`.
 
-    If no metadata have `stated` the compression, the messages themselves tell.
+    Unless the metadata `stated` compression, the first bytes of the messages decide.
     """
     begins = block.data[block.offset[block.size >= len(_ZSTD_FRAME)]]
     if not stated and not (begins == _ZSTD_FRAME[0]).any():
@@ -161,10 +162,10 @@ def unpacked(path: Path, block: Block, stated: bool) -> Iterator[Block]:
 def decompressed(
     path: Path, message: memoryview | LongMessage, zstd: zstandard.ZstdDecompressor, stated: bool
 ) -> bytes | memoryview | LongMessage:
-    """A message that rosbag2 compressed; BagError where it is damaged or unpacks to too much.
+    """Decompress a message of rosbag2; BagError if it is damaged or its unpacked size is implausible.
 
-    A message that does not begin like compressed data is given back, unless the metadata have `stated`
-    compression. One decompressor serves many messages: making it takes longer than using it.
+    Unless the metadata `stated` compression, a message that does not begin like zstd data is returned as it
+    is. The caller passes one decompressor for many messages, because making it takes longer than using it.
     """
 
     def read() -> Iterator[bytes]:
@@ -190,11 +191,11 @@ def decompressed(
 
 
 class _Parts:
-    """A file of parts that come one by one."""
+    """File-like object that reads from an iterator of parts."""
 
     def __init__(self, parts: Iterator[bytes | memoryview]) -> None:
         self._parts = parts
 
     def read(self, size: int = -1, /) -> bytes | memoryview:
-        """The next part, whatever its size."""
+        """The next part; its size need not be `size`."""
         return next(self._parts, b"")

@@ -1,4 +1,4 @@
-"""Content of a chunk: decompressed within bounds, its messages as columns."""
+"""Content of a chunk: decompression within size limits, and messages as columns."""
 
 from __future__ import annotations
 
@@ -24,34 +24,34 @@ MESSAGE = struct.Struct("<BQHIQQ")
 RECORD = struct.Struct("<BQ")
 """Head of any record: opcode and length."""
 MAX_CHUNK = 256 << 20
-"""A chunk, or a message outside of one, above this is refused: recorders close a chunk after some megabytes
-[byte]."""
+"""Largest accepted chunk, or message outside of a chunk [byte]; recorders close chunks after some
+megabytes."""
 MAX_MESSAGE = MAX_CHUNK - MESSAGE.size
-"""Content of a message that fits into such a chunk [byte]."""
+"""Largest content of a message that fits into such a chunk [byte]."""
 PIECE = 2 << 20
-"""How much content is taken at once [byte]: small chunks together, large ones in parts, any message whole."""
+"""Content processed at once [byte]; small chunks are combined, large ones split, but messages are not."""
 LARGE = 10 << 20
-"""Above this a chunk is read twice, to check it and then in parts, and a message is not held where nobody
-needs it [byte]; an image's chunk is not."""
+"""Size above which a chunk is read twice, first to check it and then in parts, and a message is loaded only
+if its topic is needed [byte]. Chunks with one image are smaller."""
 AT_ONCE = 1 << 18
-"""Size that is decompressed, or copied of what is long, at a time [byte]."""
+"""Portion in which data are decompressed and long messages are copied [byte]."""
 COMPRESSIONS = ("", "lz4", "zstd")
-# A chunk that claims both more than this [byte] and more than so many times what is stored of it is refused
-# unread: recordings seldom reach 100, and a file of some kilobytes could keep the reader busy for minutes.
+# A chunk is refused unread if its claimed size exceeds both this [byte] and this multiple of its stored size.
+# Recordings seldom reach 100; without limits a file of some kilobytes keeps the reader busy for minutes.
 _MAX_UNASKED, _MAX_RATIO = 64 << 20, 1000
 _HEAD = np.dtype("u1, <u8, <u2, <u4, <u8, <u8")
 _HEAD.names = ("opcode", "length", "channel", "sequence", "log_time", "publish_time")
-# A chunk with more records is refused: an honest one of some megabytes has a hundredth of them.
+# Most records that are parsed at once; a regular chunk of some megabytes has a hundredth of them.
 _MAX_RECORDS = 1_000_000
 
 
 @dataclass
 class Section:
-    """A chunk, or messages outside of chunks that follow one another: place [byte] and log times [ns].
+    """A chunk, or consecutive messages outside of chunks: offset in the file [byte] and log times [ns].
 
-    Sizes, times and checksum (0 for none) are those that the chunk declares. For a part of a large chunk,
-    `part` is its place in the content and its size [byte], and the times are those of its messages. A message
-    above `LARGE` is a part or section of its own, with its `channel`.
+    Sizes, times and checksum (0 for none) are those that the chunk declares. `part` selects part of a large
+    chunk by offset in the content and size [byte]; the times are then those of its messages. A message above
+    `LARGE` has its own part or section, and only then `channel` is set.
     """
 
     offset: int
@@ -67,12 +67,12 @@ class Section:
 
 
 def believable(stored: int) -> int:
-    """Size that so many stored bytes may unpack to [byte]."""
+    """Largest plausible unpacked size of `stored` bytes [byte]."""
     return min(MAX_CHUNK, max(_MAX_UNASKED, _MAX_RATIO * stored))
 
 
 def check_claim(claimed: int, stored: int) -> None:
-    """Raise ValueError for content [byte] that is too large, or more than `believable` of what is stored."""
+    """Raise ValueError if a size [byte] exceeds `MAX_CHUNK`, or `claimed` exceeds the `believable` size."""
     if max(claimed, stored) > MAX_CHUNK:
         raise ValueError(f"it claims {max(claimed, stored)} bytes, more than {MAX_CHUNK}")
     if claimed > believable(stored):
@@ -81,7 +81,7 @@ def check_claim(claimed: int, stored: int) -> None:
 
 
 def decompressed(compression: str, stored: Any) -> Iterator[bytes]:
-    """Decompress piece by piece what the ``read`` of `stored` gives."""
+    """Decompress the file-like object `stored` piece by piece."""
     if compression not in COMPRESSIONS:
         raise ValueError(f"compression {compression!r} is not known")
     if compression == "zstd":
@@ -95,9 +95,9 @@ def decompressed(compression: str, stored: Any) -> Iterator[bytes]:
 
 
 class Content:
-    """Content of a chunk up to a limit [byte], read from its beginning on.
+    """Content of a chunk up to a limit [byte], read forwards.
 
-    `place` is how much was taken [byte]. `checksum` is that of the bytes read, or None if nobody needs it.
+    `place` is the number of bytes taken. `checksum` is the CRC32 of the bytes read, or None to skip it.
     """
 
     def __init__(self, parts: Iterator[bytes], limit: int, checksum: int | None = 0) -> None:
@@ -105,7 +105,7 @@ class Content:
         self._parts, self._limit, self._rest = parts, limit, b""
 
     def take(self, size: int) -> bytes:
-        """The next bytes, fewer at the end."""
+        """The next `size` bytes, or fewer at the end."""
         size, read = min(size, self._limit - self.place), [self._rest]
         left = size - len(self._rest)
         while left > 0 and (part := next(self._parts, None)) is not None:
@@ -119,13 +119,13 @@ class Content:
         return both[:size]
 
     def skip(self, place: int) -> None:
-        """Go on to a place."""
+        """Skip forwards to an offset [byte]."""
         while self.place < place and self.take(min(AT_ONCE, place - self.place)):
             pass
 
 
 def check_whole(section: Section, content: Content) -> None:
-    """Raise ValueError if a chunk does not hold what it declares; call it when all is taken."""
+    """Raise ValueError if a chunk's size or checksum is not as declared; call it when all is taken."""
     if content.place != section.content_size:
         raise ValueError(f"it holds {content.place} bytes instead of {section.content_size}")
     if section.checksum and content.checksum != section.checksum:
@@ -133,7 +133,7 @@ def check_whole(section: Section, content: Content) -> None:
 
 
 class OnDisk:
-    """Content of a chunk in a temporary file, taken from any place."""
+    """Content of a chunk in a temporary file, for access at any offset."""
 
     place = 0
 
@@ -144,19 +144,19 @@ class OnDisk:
         self._file.flush()
 
     def skip(self, place: int) -> None:
-        """Go on to a place."""
+        """Set the offset of `take` [byte]."""
         self._next = place
 
     def take(self, size: int) -> bytes:
-        """The bytes there."""
+        """Up to `size` bytes at the offset that `skip` set."""
         return os.pread(self._file.fileno(), size, self._next)
 
 
 def pieces(content: Content, keep: Callable[[bytes], None]) -> Iterator[tuple[int, int, Block]]:
-    """Place and size [byte] of pieces of whole records, one after the other, and the messages in them.
+    """Yield consecutive pieces of whole records: offset and size in the content [byte], and their messages.
 
-    A message above `LARGE` is a piece of its own; the block has only its head. Raises ValueError as
-    `parse`, and where a record at the end is not whole.
+    A message above `LARGE` is its own piece, and the block has only its head. Raises ValueError as `parse`,
+    and if the last record is incomplete.
     """
     place, size, rest = 0, PIECE, b""
     while more := content.take(size - len(rest)):
@@ -182,9 +182,9 @@ def pieces(content: Content, keep: Callable[[bytes], None]) -> Iterator[tuple[in
 
 
 def parse(content: bytes, keep: Callable[[bytes], None]) -> tuple[Block, int]:
-    """Messages among the whole records at the beginning of `content`, and where these end.
+    """Messages in the whole records at the beginning of `content`, and the offset where these end.
 
-    Schemas and channels are handed to `keep`. Raises ValueError where a record cannot be.
+    Passes schema and channel records to `keep`. Raises ValueError for an impossible or too many records.
     """
     first, more, position, ignored = np.empty(0, np.int64), array("q"), 0, 0
     end, head_at, message = len(content), RECORD.unpack_from, int(Opcode.MESSAGE)
@@ -209,19 +209,19 @@ def parse(content: bytes, keep: Callable[[bytes], None]) -> tuple[Block, int]:
 
 
 def head_of(content: bytes) -> Block:
-    """The message that begins here; only its head is needed."""
+    """Block of the message at the beginning of `content`, which need only have its head."""
     return _messages_at(content[: MESSAGE.size], np.zeros(1, np.int64))
 
 
 def check_end(content: bytes, stop: int) -> None:
-    """Raise ValueError where whole records do not reach the end."""
+    """Raise ValueError if the whole records end before the end of `content`."""
     if stop != len(content):
         longer = "a record is longer than the chunk"
         raise ValueError(longer if content[stop] else "it holds bytes that are not records")
 
 
 def _equal_records(content: bytes, start: int, step: int) -> Integers:
-    """Places of the messages of one size that follow one another from `start`; at least one."""
+    """Offsets of consecutive messages of size `step` from `start` on; at least one."""
     count = (len(content) - start) // step
     heads = np.frombuffer(content, np.uint8, count * step, start).reshape(count, step)[:, :9]
     same = (heads == heads[0]).all(axis=1)

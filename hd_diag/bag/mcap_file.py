@@ -1,7 +1,7 @@
-"""One MCAP file being written: small chunks that reach the operating system whole, and a summary at the end.
+"""Writing of one MCAP file: small chunks that reach the operating system whole, then a summary.
 
-A file that is cut off anywhere holds every chunk that was closed before. Records are those of `mcap`; only
-messages and their many indexes are laid out here, https://mcap.dev/spec.
+A truncated file holds every chunk that was closed before the cut. `mcap` packs the records, except for
+messages and their many indexes, which are packed here (https://mcap.dev/spec).
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from hd_diag.bag.mcap_chunk import LARGE, MESSAGE, RECORD
 from hd_diag.bag.mcap_scan import MAGIC
 from hd_diag.bag.open_chunk import ROOM, UNKNOWN, OpenChunk, bits
 
-# Made for each file: a compressor may not serve two threads at once, and a node has a log and a snapshot.
-# Floats hardly compress better at higher levels, and the node writes while it works: level -1 takes a quarter
-# less time than 1, and its files are 2 % larger.
+# Each file has its own compressor, because one may not serve two threads, and a node writes a log and a
+# snapshot. Floats hardly compress better at higher levels, and the node compresses while it works: level -1
+# takes a quarter less time than 1, and its files are 2 % larger.
 _COMPRESSORS: dict[str, Callable[[], Callable[[Any], Any]]] = {
     "zstd": lambda: zstandard.ZstdCompressor(level=-1).compress,
     "lz4": lambda: lz4.frame.compress,
@@ -44,20 +44,20 @@ _COMPRESSORS: dict[str, Callable[[], Callable[[Any], Any]]] = {
 }
 COMPRESSIONS = tuple(_COMPRESSORS)
 WRITTEN_BY = "hd_diag"
-"""What the head of a file says of the program that wrote it."""
-# Chunks that may wait to be written: they bound the memory, and what a crash costs. A replay makes several at
-# once: with 4 it waited for the thread.
+"""Name of the writing program in the head of a file."""
+# Most chunks that wait to be written. This limits the memory and the loss in a crash. A replay makes several
+# chunks at once: with a limit of 4 it waited for the thread.
 _MOST_WAITING = 16
-_LARGE = 4 << 20  # above this a chunk is waited for, as are those before it [byte]
-_FIXED = MESSAGE.size - RECORD.size  # of a message, in the length of its record [byte]
+_LARGE = 4 << 20  # a caller waits until a chunk above this is written [byte]
+_FIXED = MESSAGE.size - RECORD.size  # fixed part of a message record's length [byte]
 _HEAD, _INDEX, _ENTRY = struct.Struct("<BQH"), struct.Struct("<BQHI"), struct.Struct("<QQ")
 _LENGTH = struct.Struct("<Q")
-_CHUNK_HEAD = 49  # of a chunk's record, without the name of its compression [byte]
+_CHUNK_HEAD = 49  # head of a chunk record without the compression's name [byte]
 
 
 @dataclass
 class Stream:
-    """A topic that is written: its records, and the messages added so far."""
+    """A topic being written: its schema and channel records, and the number of messages added so far."""
 
     schema: records.Schema
     channel: records.Channel
@@ -65,20 +65,20 @@ class Stream:
 
 
 class Written(NamedTuple):
-    """A file and how much of it has reached the operating system. Of a finished file no more is kept."""
+    """Path of a file, and statistics of its records in the operating system; kept after the file's end."""
 
     path: Path
     statistics: records.Statistics
 
 
 class McapFile:
-    """An MCAP file with profile ``ros2``, locked for as long as it is written.
+    """An MCAP file with profile ``ros2``, locked while it is written.
 
-    Chunks are closed at an uncompressed `chunk_size` [byte], compressed and written in a thread; what goes
-    wrong there is raised by one of the next calls.
+    A chunk is closed at an uncompressed `chunk_size` [byte]. A thread compresses and writes it; one of the
+    next calls raises the thread's errors.
 
-    `size` is that of the file [byte], `start` the log time of the first message [ns], `is_whole` says whether
-    it has its end.
+    `size` is the size of the file [byte], `start` the log time of the first message [ns]. `is_whole` says
+    whether the end of the file is written.
     """
 
     def __init__(self, path: Path, compression: str, chunk_size: int, overwrite: bool) -> None:
@@ -87,11 +87,11 @@ class McapFile:
         self.written = Written(path, records.Statistics(0, 0, {}, 0, 0, 0, UNKNOWN, 1, 0))
         self._compression, self._chunk_size = compression, chunk_size
         self._compress = _COMPRESSORS[compression]()
-        self._rooms: deque[bytearray] = deque()  # of chunks that are written
+        self._rooms: deque[bytearray] = deque()  # buffers of written chunks, for reuse
         self._chunk = self._begun()
         self._failed = self.is_whole = False
         self._waiting: deque[Future[None]] = deque()
-        self._indexes = bytearray()  # packed at once: a log of days has a million of them
+        self._indexes = bytearray()  # stored packed, because a log of days has a million
         self._schemas: dict[int, records.Schema] = {}
         self._channels: dict[int, records.Channel] = {}
         self._fd = new_file(path, overwrite)
@@ -104,11 +104,11 @@ class McapFile:
 
     @property
     def opened(self) -> float | None:
-        """When the open chunk got its first message (``time.monotonic``) [s]; None if it has none."""
+        """When the open chunk got its first message (``time.monotonic``) [s]; None if it is empty."""
         return self._chunk.opened
 
     def declare(self, stream: Stream) -> None:
-        """Write a topic's records, unless they are in the file."""
+        """Add a topic's schema and channel records, unless the file has them."""
         if stream.channel.id not in self._channels:
             if stream.schema.id and stream.schema.id not in self._schemas:
                 self._schemas[stream.schema.id] = stream.schema
@@ -119,7 +119,7 @@ class McapFile:
     def add(
         self, stream: Stream, log_time: int, publish_time: int, data: bytes | memoryview | LongMessage
     ) -> None:
-        """Append a message; the chunk is closed when it is full, and after a long message."""
+        """Append a message; closes the chunk when it is full, and before and after a long message."""
         self.declare(stream)
         if len(data) > LARGE:
             self.close_chunk()
@@ -152,7 +152,7 @@ class McapFile:
         self._added(stream, len(rows), min(times), max(times), b"".join(entries))
 
     def add_rows(self, stream: Stream, times: Times, publish_times: Times, rows: Bytes) -> int:
-        """Append messages of one size, shape (n, size), as many as fill the open chunk, and say how many."""
+        """Append messages of one size, shape (n, size), until the open chunk is full; returns how many."""
         self.declare(stream)
         kind, size = _record_of(rows.shape[1]), self._chunk.size
         count = min(len(rows), max(1, -(-(self._chunk_size - size) // kind.itemsize)))
@@ -166,12 +166,12 @@ class McapFile:
         table["data"] = rows[:count].view(kind["data"])[:, 0]
         entries = np.empty((count, 2), "<u8")
         entries[:, 0], entries[:, 1] = times, size + kind.itemsize * np.arange(count)
-        del table  # the chunk's room cannot grow while it is looked at
+        del table  # a bytearray cannot grow while an array views it
         self._added(stream, count, int(times.min()), int(times.max()), entries.tobytes())
         return count
 
     def _added(self, stream: Stream, count: int, first: int, last: int, entries: bytes) -> None:
-        """Account for messages that were added: least and greatest time [ns], entries of the index."""
+        """Account for added messages: least and greatest time [ns], index entries; closes a full chunk."""
         stream.count += count
         self.start, chunk = first if self.start is None else self.start, self._chunk
         chunk.opened = time.monotonic() if chunk.opened is None else chunk.opened
@@ -181,7 +181,7 @@ class McapFile:
             self.close_chunk()
 
     def close_chunk(self) -> None:
-        """Hand everything added so far to the thread that writes."""
+        """Hand the open chunk to the writing thread."""
         if self._chunk.size:
             chunk, self._chunk = self._chunk, self._begun()
             self._waiting.append(self._pool.submit(self._store, chunk))
@@ -195,26 +195,26 @@ class McapFile:
         return is_due
 
     def has_reached(self, size: int, duration: float, log_time: int) -> bool:
-        """Whether it has reached a size [byte] or, at a log time [ns], a length [s]; 0 means no limit."""
+        """Whether the file has a size [byte] or, at a log time [ns], a length [s]; 0 means no limit."""
         if self.start is None:
             return False
         if size:
-            self.wait()  # its size decides
+            self.wait()  # the written size decides
         is_late = duration and log_time - self.start >= int(duration * 1e9)
         return bool(is_late or (size and self.size >= size))
 
     def wait(self, most: int = 0) -> None:
-        """Wait until at most so many chunks are unwritten; raise the first error of the thread."""
+        """Wait until at most `most` chunks are unwritten; raises the thread's first error."""
         while self._waiting and (len(self._waiting) > most or self._waiting[0].done()):
             self._waiting[0].result()
             self._waiting.popleft()
 
     def stop(self) -> None:
-        """Let the thread finish what it was given, and end it."""
+        """Wait until the thread has written its chunks, and end it."""
         self._pool.shutdown()
 
     def finish(self, metadata: Mapping[str, str]) -> None:
-        """Write rosbag2's metadata and the summary behind the chunks; the thread must have stopped."""
+        """Write rosbag2's metadata and the summary after the chunks; the thread must have stopped."""
         written = self.written.statistics
         written.message_start_time = min(written.message_start_time, written.message_end_time)
         written.schema_count, written.channel_count = len(self._schemas), len(self._channels)
@@ -246,7 +246,7 @@ class McapFile:
                 os.close(fd)
 
     def discard(self) -> None:
-        """Close and delete the file, which holds nothing."""
+        """Close and delete a file without messages."""
         self.release()
         self.path.unlink(missing_ok=True)
 
@@ -255,7 +255,7 @@ class McapFile:
         return os.dup(self._fd)
 
     def _begun(self) -> OpenChunk:
-        """An empty chunk; in fresh memory it would take twice as long to fill."""
+        """An empty chunk in a reused buffer if there is one; fresh memory takes twice as long to fill."""
         return OpenChunk(self._rooms.popleft() if self._rooms else bytearray(min(self._chunk_size, ROOM)))
 
     def _store(self, chunk: OpenChunk) -> None:
@@ -274,7 +274,7 @@ class McapFile:
                 length, checksum = self._put_long(name, data, chunk.long)
             record = bytearray(_packed(records.Chunk(name, b"", chunk.last, first, checksum, size)))
             _LENGTH.pack_into(record, 1, len(record) - RECORD.size + length)
-            _LENGTH.pack_into(record, len(record) - _LENGTH.size, length)  # of what is copied nowhere
+            _LENGTH.pack_into(record, len(record) - _LENGTH.size, length)  # the data are not in the record
             places, index = {}, b""
             for channel, entries in chunk.index.items():
                 places[channel] = start + len(record) + length + len(index)
@@ -305,9 +305,9 @@ class McapFile:
             self._rooms.append(chunk.data)
 
     def _put_long(self, name: str, data: memoryview, long: LongMessage) -> tuple[int, int]:
-        """Write what a chunk with a long message holds behind room for its head: size and checksum.
+        """Write the content of a chunk with a long message after room for its head; size and checksum.
 
-        By lz4, for zstd may shrink it by more than can be believed of an unknown file.
+        Compresses by lz4, because zstd may shrink it by more than a reader accepts of an unknown file.
         """
         start, found, checksum = self.size, 0, 0
         lz4_frame = lz4.frame.LZ4FrameCompressor()
@@ -321,7 +321,7 @@ class McapFile:
         return self.size - start - _CHUNK_HEAD - len(name), checksum
 
     def _check(self) -> None:
-        """Raise BagError where somebody else took the file away or changed its size: writing would go on."""
+        """Raise BagError if another program deleted, moved or resized the file: writing would go on."""
         own = os.fstat(self._fd)
         if own.st_size != self.size:
             what = f"was changed by another program: {own.st_size} bytes, of {self.size} that were written"
@@ -334,7 +334,7 @@ class McapFile:
             raise BagError(self.path, "was deleted or moved while it was written")
 
     def _put(self, *parts: bytes | bytearray | memoryview) -> None:
-        """Write all parts, or nothing: a record that does not fit is cut off again."""
+        """Write all parts or none: after an error the file is cut back to its previous size."""
         self._check()
         size = sum(map(len, parts))
         try:
@@ -348,7 +348,7 @@ class McapFile:
         self.size += size
 
     def _cut(self, size: int) -> None:
-        """Cut the file off at a place."""
+        """Truncate the file to a size [byte]."""
         self.size = size
         os.ftruncate(self._fd, size)
         os.lseek(self._fd, size, os.SEEK_SET)
@@ -356,13 +356,13 @@ class McapFile:
 
 @functools.lru_cache(maxsize=256)
 def _record_of(size: int) -> np.dtype[Any]:
-    """`MESSAGE` and a content of some size [byte]."""
+    """Data type of a message record: `MESSAGE` and a content of `size` bytes."""
     names = ["head", "sequence", "log_time", "publish_time", "data"]
     return np.dtype({"names": names, "formats": ["V11", "<u4", "<u8", "<u8", f"V{size}"]})
 
 
 def _head(stream: Stream, number: int, size: int, log_time: int, publish_time: int) -> bytes:
-    """Of a message's record, by its number in the topic and its content's size [byte]."""
+    """Head of a message record, given the message's number in its topic and its content's size [byte]."""
     number &= 0xFFFFFFFF
     return MESSAGE.pack(Opcode.MESSAGE, _FIXED + size, stream.channel.id, number, log_time, publish_time)
 

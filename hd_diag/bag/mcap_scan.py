@@ -1,7 +1,7 @@
-"""What is in an MCAP file: chunks and messages outside of them, topics, counts; nothing is trusted.
+"""Scan of an untrusted MCAP file: chunks and messages outside of them, topics, counts.
 
-The file is walked record by record, so that the summary and the indexes may be missing, wrong or cut off.
-The walk reads only the heads of chunks; their content is decompressed within bounds and checked when it is
+The scan walks the file record by record, so the summary and the indexes may be missing, wrong or cut off.
+It reads only the heads of chunks. Their content is decompressed within limits and checked when it is
 needed.
 """
 
@@ -52,28 +52,28 @@ from hd_diag.messages.schemas import Definition
 
 MAGIC = MCAP0_MAGIC
 _CHUNK, _FOOTER = struct.Struct("<QQQII"), struct.Struct("<QQI")
-# Opcode of a chunk, and a length below 2**48, as all lengths are.
+# Opcode of a chunk, and a length below 2**48, as in every real file.
 _MAYBE_CHUNK = re.compile(rb"(?=\x06[\s\S]{6}\0\0)")
 _WINDOW, _PEEKED = 16 << 20, 1 << 14
-_MAX_RECORD = 16 << 20  # of other kinds [byte]
-_RUN = 1 << 20  # messages outside of chunks are taken together up to about this size [byte]
-_MOST_OPEN = 4  # large chunks that are read at once: those beside each other in time
+_MAX_RECORD = 16 << 20  # largest record except for chunks and messages [byte]
+_RUN = 1 << 20  # messages outside of chunks form sections of about this size [byte]
+_MOST_OPEN = 4  # large chunks open at once, because chunks overlap in time
 
 
-# What the libraries raise on damaged content.
+# Errors that the libraries raise on damaged content.
 _DAMAGE = (ValueError, struct.error, zstandard.ZstdError, RuntimeError, McapError, EOFError, MemoryError)
 
 
 class DamagedChunk(BagError):
-    """A chunk cannot be used; what is before and behind it can be recovered."""
+    """A chunk cannot be used; data before and after it can be recovered."""
 
 
 class Scan:
-    """What a walk over an open MCAP file finds: sections, schemas, channels, statistics.
+    """Sections, schemas, channels and statistics of an open MCAP file, found by a walk over its records.
 
-    `end` is where the last whole record ends [byte], `problem` why that is not the end of the file; schemas
-    and channels that stand in chunks are known only where the summary repeats them. Raises BagError, which
-    names `path`, where it is not an MCAP file.
+    `end` is where the last whole record ends [byte]; `problem` says why that is not the file's end. Until
+    a chunk is loaded, its schemas and channels are known only if the summary repeats them. Raises BagError,
+    which names `path`, if the file is not MCAP.
     """
 
     def __init__(self, path: Path, file: BufferedReader) -> None:
@@ -94,18 +94,18 @@ class Scan:
         self.walk()
 
     def read(self, offset: int, size: int) -> bytes:
-        """Bytes at a place, safe with other readers; ValueError if the file was closed."""
+        """Bytes at an offset; safe with concurrent readers; ValueError if the file was closed."""
         return os.pread(self._file.fileno(), size, offset)
 
     def _peek(self, size: int) -> bytes:
-        """Some bytes at `end`, read ahead because records outside of chunks are small."""
+        """Bytes at `end` from a buffer that is read ahead, because records outside of chunks are small."""
         start = self.end - self._begin
         if not 0 <= start <= len(self._ahead) - size:
             start, self._begin, self._ahead = 0, self.end, self.read(self.end, _PEEKED)
         return self._ahead[start : start + size]
 
     def walk(self) -> None:
-        """Walk on from `end`."""
+        """Walk over the records from `end` on; sets `end` and `problem`."""
         self.problem, opcode = "", 0
         try:
             while opcode != Opcode.FOOTER:
@@ -129,7 +129,7 @@ class Scan:
             self.problem = f"damaged record at byte {self.end}: {exc}"
 
     def _check_summary(self) -> None:
-        """Compare the summary with its checksum, where the footer has both."""
+        """Check the summary against its checksum, if the footer has both."""
         end = self.end - len(MAGIC) - 4
         start, _, checksum = _FOOTER.unpack(self.read(end - _FOOTER.size + 4, _FOOTER.size))
         if not start or not checksum:
@@ -141,10 +141,10 @@ class Scan:
             self.problem, self.statistics = "is damaged: the checksum of its summary is wrong", None
 
     def keep(self, record: bytes, repeats: bool = False) -> None:
-        """Remember what a record says; raises several kinds of errors where it is damaged.
+        """Store the schema, channel, statistics or profile in a record; a damaged one raises various errors.
 
-        Every chunk, and the summary, may say the same once more of thousands of channels. The summary only
-        `repeats`: where it is damaged, what stands before the messages holds.
+        Known records are skipped, because every chunk and the summary may repeat thousands of channels. The
+        summary `repeats`: as it may be damaged, its records do not replace earlier ones.
         """
         key = record[:1] + record[RECORD.size : RECORD.size + 2]
         if self._kept.get(key) == record or (repeats and key in self._kept):
@@ -164,7 +164,7 @@ class Scan:
             return
 
     def topics(self) -> dict[int, Topic]:
-        """Topics of the channels, by number."""
+        """Topics by channel number."""
         for number in self.channels.keys() - self._topics.keys():
             self._topics[number] = self._topic(self.channels[number])
         return {number: self._topics[number] for number in self.channels}
@@ -180,7 +180,7 @@ class Scan:
         return Topic(channel.topic, schema.name, 0, known, offers, foreign)
 
     def chunk_at(self, offset: int, length: int) -> Section:
-        """The chunk record at `offset` of `length` bytes behind its head; ValueError where it is damaged."""
+        """The chunk record at `offset` with `length` bytes after its head; ValueError if it is damaged."""
         head = self.read(offset + RECORD.size, _CHUNK.size + 24)
         try:
             start, end, content_size, checksum, name_length = _CHUNK.unpack_from(head)
@@ -194,7 +194,7 @@ class Scan:
         return Section(offset + RECORD.size + before, size, start, end, name, content_size, checksum)
 
     def find_chunk(self, start: int) -> int | None:
-        """Place of the next chunk record from `start` on that has consistent sizes; None if there is none."""
+        """Offset of the next chunk record with consistent sizes from `start` on; None if there is none."""
         for window in range(start, self.size, _WINDOW):
             content = self.read(window, _WINDOW + 16)
             for match in _MAYBE_CHUNK.finditer(content, 0, _WINDOW + 9):
@@ -209,7 +209,7 @@ class Scan:
         return None
 
     def parts(self, section: Section) -> list[Section]:
-        """The section, or the parts of a large chunk, which take less memory; DamagedChunk as `load`."""
+        """The section itself, or the parts of a large chunk, to save memory; DamagedChunk as `load`."""
         if not section.is_chunk or section.content_size <= LARGE or section.part is not None:
             return [section]
         found = []
@@ -225,9 +225,9 @@ class Scan:
         return found
 
     def load(self, sections: Sequence[Section]) -> Block:
-        """Messages of some sections; schemas and channels among them are kept.
+        """Messages of one or more sections; stores their schemas and channels.
 
-        Safe beside other readers of the same file; DamagedChunk where a section cannot be used.
+        Safe with concurrent readers of the same file. Raises DamagedChunk if a section cannot be used.
         """
         contents = []
         for section in sections:
@@ -240,7 +240,7 @@ class Scan:
             return block
 
     def long_message(self, section: Section) -> Block:
-        """The message of a section with a `channel`, without its content; DamagedChunk as `load`."""
+        """The message of a section with a `channel`, its content read on demand; DamagedChunk as `load`."""
         assert section.part is not None
         place, size = section.part
         size -= MESSAGE.size
@@ -254,9 +254,9 @@ class Scan:
             return replace(head_of(content.take(MESSAGE.size)), long=LongMessage(size, read))
 
     def load_part(self, offset: int, end: int) -> Iterator[Block]:
-        """Messages at the beginning of a chunk; the file has its bytes from `offset` to `end`.
+        """Messages at the beginning of a truncated chunk; the file has its bytes from `offset` to `end`.
 
-        Compression works in blocks, so that the blocks before a cut can be read.
+        Compression works in blocks, so the blocks before the cut can be read.
         """
         with suppress(*_DAMAGE, IndexError):
             if self.read(offset, 1)[0] == Opcode.CHUNK:
@@ -276,13 +276,13 @@ class Scan:
             raise DamagedChunk(self._path, f"{where} is damaged: {exc}") from exc
 
     def _unpacked(self, section: Section, checksum: int | None = 0) -> Content:
-        """The content of a chunk, and one more byte if it holds more than it claims."""
+        """Content of a chunk, limited to one byte above the claimed size, to notice excess content."""
         check_claim(section.content_size, section.size)
         stored = _Stored(self, section.offset, section.offset + section.size)
         return Content(decompressed(section.compression, stored), section.content_size + 1, checksum)
 
     def _content(self, section: Section) -> bytes:
-        """Of a section or a part."""
+        """Uncompressed bytes of a section or a part."""
         if section.part is not None:
             with self._opened(section, section.part[0]) as part:
                 return part.take(section.part[1])
@@ -293,9 +293,9 @@ class Scan:
 
     @contextmanager
     def _opened(self, section: Section, place: int) -> Iterator[Content | OnDisk]:
-        """The content of a section from a place on; it stays open because its parts follow one another.
+        """The content of a section from an offset on; it stays open, because parts are usually read in order.
 
-        If its times go back they do not, and it is unpacked on the disk.
+        If `place` lies before the current offset, as with disordered times, the content is copied to disk.
         """
         with self._lock:
             known: Content | OnDisk | None = self._open.pop(section.offset, None)
@@ -318,7 +318,7 @@ class Scan:
             raise BagError(self._path, f"cannot be sorted in {where}: {exc.strerror or exc}") from exc
 
     def _take(self, opcode: int, length: int) -> None:
-        """Take the record at `end`."""
+        """Register the record at `end`: a chunk or message as section, others with `keep`."""
         if opcode == Opcode.CHUNK:
             self.sections.append(self.chunk_at(self.end, length))
         elif opcode == Opcode.MESSAGE:
@@ -332,7 +332,7 @@ class Scan:
             self._is_summary = True
 
     def _add_message(self, length: int) -> None:
-        """Add the message outside of chunks at `end` to those directly before it."""
+        """Add the message at `end`, outside of chunks, to the section directly before it or to a new one."""
         _, _, channel, _, log_time, _ = MESSAGE.unpack(self._peek(MESSAGE.size))
         if length > LARGE:
             size = RECORD.size + length
@@ -348,7 +348,7 @@ class Scan:
 
 
 class _Stored:
-    """Bytes of the file from a place to an end [byte]."""
+    """File-like view of the bytes from an offset to an end [byte]."""
 
     def __init__(self, scan: Scan, place: int, end: int) -> None:
         self._scan, self._place, self._end = scan, place, end

@@ -18,17 +18,17 @@ from hd_diag.bag.mcap_chunk import MESSAGE, PIECE, Section
 from hd_diag.bag.mcap_scan import DamagedChunk, Scan
 from hd_diag.bag.recorder_clock import SET_BACK, RecorderClock
 
-# What is read ahead takes no more memory than this [byte].
+# Most memory for data that are read ahead [byte].
 _AHEAD = 6 << 20
-# No more than this waits for sorting [byte].
+# Most memory for messages that wait for sorting [byte].
 _MAX_HELD = 32 << 20
 
 
 class McapStorage:
-    """An MCAP file: topics by channel number, least and greatest log time [ns], 0 and 0 for an empty file.
+    """An MCAP file: `topics` by channel number; least and greatest log time [ns], 0 and 0 if it is empty.
 
-    The stack closes the file; `problem` says why it is not finished. Raises BagError where it is not an MCAP
-    file, or holds what cannot be read.
+    `stack` closes the file. `problem` says why the file is not finished. Raises BagError if it is not MCAP,
+    has no messages but damaged chunks, or has messages of undeclared channels.
     """
 
     def __init__(self, path: Path, stack: ExitStack) -> None:
@@ -47,9 +47,9 @@ class McapStorage:
         self._check_declared({number for number, count in counts.items() if count})
 
     def blocks(self, numbers: Sequence[int]) -> Iterator[Block]:
-        """Messages of some channels in the order of log time; BagError where a chunk is damaged.
+        """Messages of some channels in order of log time; BagError if a chunk is damaged.
 
-        If the recorder's clock was set back, messages from after that come behind those from before.
+        If the recorder's clock was set back, messages recorded after that follow those recorded before.
         """
 
         def chosen(sections: list[Section]) -> Block:
@@ -73,9 +73,9 @@ class McapStorage:
     def _clock_stretches(
         self, sections: Sequence[Section], load: Callable[[list[Section]], Block]
     ) -> Iterator[list[Section]]:
-        """Sections between which the clock was not set back.
+        """Split sections at each step back of the recorder's clock; yields the sections of each stretch.
 
-        Two sections are looked into only if the second declares an earlier time than the first.
+        A section is loaded for this only if it declares an earlier time than those before it.
         """
         following: list[Section] = []
         reach = -(2**63)
@@ -93,7 +93,7 @@ class McapStorage:
         yield following
 
     def _sections(self) -> list[Section]:
-        """Sections, or parts of large ones; one that is damaged is an error when it is its turn."""
+        """Sections, large ones split into parts; a damaged one stays and raises its error when it is read."""
         if not self._is_split:
             found: list[Section] = []
             for section in self._scan.sections:
@@ -109,9 +109,9 @@ class McapStorage:
             raise BagError(self.path, f"holds messages of channel {min(unknown)}, which is not declared")
 
     def _count(self) -> tuple[dict[int, int], DamagedChunk | None]:
-        """Messages by channel as the statistics say; where a file has none its chunks are opened.
+        """Count messages by channel from the statistics, otherwise from the chunks; also the first damage.
 
-        A damaged chunk is an error when it is its turn to be read.
+        A damaged chunk raises its error only when it is read. Sets `start` and `end`.
         """
         found, known = self._scan, self._scan.statistics
         if known is not None and not found.problem and found.channels:
@@ -137,7 +137,7 @@ class McapStorage:
 
 
 def _last_of(sections: Sequence[Section]) -> list[Section]:
-    """The last sections, of about `PIECE`."""
+    """The last sections, together about `PIECE`."""
     count = 1
     while count < len(sections) and _size(sections[-count:]) < PIECE:
         count += 1
@@ -145,7 +145,7 @@ def _last_of(sections: Sequence[Section]) -> list[Section]:
 
 
 def _parted(section: Section, block: Block, row: int) -> tuple[list[Section], Section]:
-    """The part of a section before a message of its block, and the rest."""
+    """Split a section at a row of its block: the part before, if any, and the rest."""
     place, size = section.part or (0, section.content_size)
     at = int(block.offset[row]) - MESSAGE.size
     if at == 0:
@@ -159,12 +159,12 @@ def _parted(section: Section, block: Block, row: int) -> tuple[list[Section], Se
 
 
 def _size(sections: Sequence[Section]) -> int:
-    """What sections take in memory [byte]."""
+    """Memory that sections need [byte]."""
     return sum(s.part[1] if s.part else max(s.content_size, s.size) for s in sections)
 
 
 def _stretches_of(sections: Sequence[Section]) -> list[list[Section]]:
-    """Sections in the order of the file, small ones taken together: a log flushed often has many."""
+    """Sections in file order; small ones are combined, because a log that is flushed often has many."""
     stretches: list[list[Section]] = []
     size = 0
     for section in sections:
@@ -179,11 +179,11 @@ def _stretches_of(sections: Sequence[Section]) -> list[list[Section]]:
 def _ordered(
     stretches: Sequence[list[Section]], load_one: Callable[[list[Section]], Block]
 ) -> Iterator[Block]:
-    """Blocks whose log times never decrease; messages of equal time keep the order of the file.
+    """Yield blocks in order of log time; messages of equal time keep the order of the file.
 
-    If the clock was set back within a stretch, later messages come behind earlier ones. Raises
-    ValueError where times are so disordered that sorting takes more than 32 MiB, or where a chunk holds
-    messages from before the time that it declares.
+    If the clock was set back within a stretch, messages recorded after that follow those recorded before.
+    Raises ValueError if times are so disordered that sorting takes more than 32 MiB, or if a chunk holds
+    messages from before its declared start.
     """
     starts = [min(section.start for section in stretch) for stretch in stretches]
     turns = sorted(range(len(stretches)), key=lambda number: (starts[number], number))
@@ -218,7 +218,7 @@ def _ordered(
 
 
 def _ahead(stretches: Sequence[list[Section]], load_one: Callable[[list[Section]], Block]) -> Iterator[Block]:
-    """What the stretches hold, in their order; what fits into `_AHEAD` is loaded before its turn."""
+    """Yield the block of each stretch in order; threads load as many as fit into `_AHEAD` in advance."""
     left, held = deque(stretches), 0
     waiting: deque[tuple[int, Future[Block]]] = deque()
     pool = ThreadPoolExecutor(2, thread_name_prefix="bag reader")

@@ -1,4 +1,4 @@
-"""The last messages of a log, compressed, before it is decided whether they are written."""
+"""Compressed memory of the last messages of a log, for a later decision whether to write them."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from typing import NamedTuple
 import zstandard
 from rosbags.interfaces import Qos
 
-_BLOCK = 1 << 18  # of contents that are compressed together [byte]
-_PARTS = 10  # of the time to keep: the oldest goes as a whole
+_BLOCK = 1 << 18  # messages that are compressed together [byte]
+_PARTS = 10  # parts of the kept time; the oldest is dropped as a whole
 
 OBJECTS = 300
-"""What Python takes for a message that waits, beside its contents [byte]."""
+"""Memory of a waiting message's Python objects, without its content [byte]."""
 
 
 class Received(NamedTuple):
-    """A message as `BagWriter.write` takes it, at a log time [ns]."""
+    """A message as `BagWriter.write` takes it; `time` is its log time [ns]."""
 
     topic: str
     type_name: str
@@ -29,7 +29,7 @@ class Received(NamedTuple):
 
 @dataclass
 class _Part:
-    """Messages from a place where a replay can begin."""
+    """Messages from a log time `start` [ns] on, where a replay can begin."""
 
     start: int
     count: int = 0
@@ -37,9 +37,9 @@ class _Part:
 
 
 class Memory:
-    """Messages of the last seconds [s], in at most some bytes, in the order in which they came.
+    """Messages of the last `seconds`, in order of arrival, in at most `most_bytes`.
 
-    It consists of parts; each begins where a replay can begin. The oldest part is dropped as a whole.
+    The memory consists of parts. Each begins where a replay can begin; the oldest is dropped as a whole.
     """
 
     def __init__(self, seconds: float, most_bytes: int) -> None:
@@ -54,12 +54,12 @@ class Memory:
 
     @property
     def size(self) -> int:
-        """What it takes [byte]."""
+        """Memory in use [byte]."""
         return self._stored + self._open_size
 
     @property
     def seconds(self) -> float:
-        """Length of what it holds [s]."""
+        """Time span of the messages [s]."""
         return (self._last - self._parts[0].start) * 1e-9 if self._parts else 0.0
 
     def is_due(self, now: int) -> bool:
@@ -67,16 +67,16 @@ class Memory:
         return not self._parts or now - self._parts[-1].start >= self._length // _PARTS
 
     def begin_part(self, now: int) -> None:
-        """Begin a part at a log time [ns]; parts that are too old go."""
+        """Begin a part at a log time [ns] and drop parts that are too old."""
         self._close()
         self._parts.append(_Part(now))
         while len(self._parts) > 1 and now - self._parts[1].start >= self._length:
             self.drop()
 
     def put(self, message: Received) -> int:
-        """Append a message to the last part; beyond the size the oldest parts are dropped, in the end all.
+        """Append a message to the last part; above the size limit drop the oldest parts, if need be all.
 
-        Returns how many messages were dropped.
+        Returns the number of dropped messages.
         """
         if not self._parts:
             return 0
@@ -92,7 +92,7 @@ class Memory:
         return gone
 
     def take(self) -> list[Received]:
-        """Remove and return the oldest messages; none if there are no more."""
+        """Remove and return the oldest messages; empty if there are none."""
         while self._parts and not self._parts[0].blocks:
             if len(self._parts) == 1:
                 self._parts.clear()
@@ -108,7 +108,7 @@ class Memory:
         return found
 
     def drop(self) -> int:
-        """Forget the oldest part; how many messages it held."""
+        """Drop the oldest part and return its number of messages."""
         part = self._parts.popleft()
         self._stored -= sum(map(len, part.blocks))
         if not self._parts:

@@ -1,9 +1,9 @@
-"""Files that are not bags: what they are, by their first bytes, and what to do with them."""
+"""Recognises files that are not bags by their first bytes, and says what to do with them."""
 
 from __future__ import annotations
 
 PEEKED = 512
-"""How much of a file tells what it is [byte]."""
+"""First bytes of a file that are needed to recognise it."""
 
 _BEGINS = {
     b"#ROSBAG V": "is a ROS 1 bag: `rosbags-convert --src FILE --dst FOLDER` makes a ROS 2 bag of it",
@@ -30,7 +30,7 @@ def told(head: bytes) -> str:
 
 
 def _is_text(head: bytes) -> bool:
-    """Whether bytes are lines of text in UTF-8, or UTF-16 with its mark; the last one may be cut off."""
+    """Whether bytes are lines of text in UTF-8, or UTF-16 with its mark; the last character may be cut."""
     if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return True
     if b"\n" not in head:

@@ -1,4 +1,4 @@
-"""Where a bag is written: names, lock and metadata of its files, and the disk that is made to take them."""
+"""Place of a bag that is written: file names, lock and metadata, and syncing of its files to the disk."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ from hd_diag.bag.rosbag2 import dump_yaml
 
 
 class Place:
-    """A path that is a file of its own where it ends in ``.mcap``, else a folder; no link is followed.
+    """Path of a bag: a file if it ends in ``.mcap``, otherwise a folder; links are not followed.
 
-    The folder, or else the first file, is locked against other writers of this package until `release`.
+    The folder, or without one the first file, is locked against other writers of this package until
+    `release`.
     """
 
     def __init__(self, path: Path) -> None:
@@ -25,18 +26,18 @@ class Place:
         self._lock = -1
 
     def take(self, *, exist_ok: bool) -> None:
-        """Make the folder and lock it; BagError or OSError where it is another's, a link or there already."""
+        """Make and lock the folder; BagError or OSError if it is in use, a link, or exists already."""
         if self.path.is_symlink():
             raise BagError(self.path, "is a symbolic link: give the place it leads to")
         if self.is_folder:
             self.path.mkdir(parents=True, exist_ok=exist_ok)
             self.release()
             self._lock = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
-            with suppress(OSError):  # some networks' folders cannot be locked; the files in them can
+            with suppress(OSError):  # some network folders cannot be locked, but their files can
                 lock(self._lock, self.path)
 
     def clear(self) -> None:
-        """Delete the bag in the folder."""
+        """Delete the old bag in the folder."""
         for file in bag_files(self.path) if self.is_folder else ():
             file.unlink()
 
@@ -52,18 +53,18 @@ class Place:
         return self.path.with_name(f"{self.path.stem}_{number}.mcap") if number else self.path
 
     def free(self, number: int) -> int:
-        """The first number from a given one on that has no file."""
+        """The first number from `number` on whose file does not exist."""
         while os.path.lexists(self.name(number)):
             number += 1
         return number
 
     def save(self, information: Mapping[str, Any]) -> None:
-        """Write a folder's ``metadata.yaml``; the old one stays whole until the new one is there."""
+        """Write a folder's ``metadata.yaml``; the old file stays until the new one is complete."""
         if self.is_folder:
             draft = self.path / "metadata.yaml.tmp"
             draft.unlink(missing_ok=True)
             try:
-                with draft.open("x", encoding="utf-8") as file:  # never what a link leads to
+                with draft.open("x", encoding="utf-8") as file:  # "x" never follows a link
                     file.write(dump_yaml({"rosbag2_bagfile_information": information}))
                 draft.replace(self.path / "metadata.yaml")
             except BaseException:
@@ -72,7 +73,7 @@ class Place:
                 raise
 
     def release(self) -> None:
-        """Let others write here."""
+        """Unlock the place for other writers."""
         fd, self._lock = self._lock, -1
         if fd >= 0:
             os.close(fd)
@@ -87,19 +88,19 @@ class Disk:
         self._job: Future[None] | None = None
 
     def sync_if_due(self, file: McapFile, now: float) -> None:
-        """Begin if the period is over and no sync is under way; raises an earlier error."""
+        """Start a sync if the period is over and none is running; raises the error of an earlier sync."""
         if now - self._last >= self._period and (self._job is None or self._job.done()):
             self._last = now
             self.sync(file)
 
     def sync(self, file: McapFile) -> None:
-        """Begin after what is under way."""
+        """Start a sync after any running one, unless the period is 0; raises the error of an earlier sync."""
         if self._period:
             self._raise()
             self._job = self._pool.submit(_synced, file.held(), file.path.parent)
 
     def close(self) -> None:
-        """Wait for what is under way; raises what went wrong."""
+        """Wait for running syncs; raises their error."""
         self._pool.shutdown()
         self._raise()
 
@@ -110,12 +111,12 @@ class Disk:
 
 
 def _synced(fd: int, folder: Path) -> None:
-    """Sync a file to the disk, close it, and sync its name in the folder."""
+    """Sync a file to the disk, close its descriptor, and sync the folder, which holds its name."""
     try:
         os.fdatasync(fd)
     finally:
         os.close(fd)
-    with suppress(FileNotFoundError):  # the next chunk tells that it was deleted
+    with suppress(FileNotFoundError):  # the next chunk raises the error
         there = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:
             os.fsync(there)

@@ -31,9 +31,9 @@ _AT_ONCE = 1 << 14  # messages in a batch
 
 @dataclass(frozen=True)
 class Batch:
-    """Messages of one topic: times [ns] (n,), log times in order, and CDR with its 4-byte header.
+    """n messages of one topic: times [ns] (n,), sorted by log time, and CDR with its 4-byte header.
 
-    The payload is an array of uint8, shape (n, size), where all messages have one size, else a list.
+    The payload is an array of uint8, shape (n, size), if all messages have one size, otherwise a list.
     """
 
     topic: Topic
@@ -51,18 +51,18 @@ class Batch:
 
 
 class Mixed(NamedTuple):
-    """Consecutive messages: log times [ns] (n,); each topic's batch with the positions of its messages."""
+    """n consecutive messages: log times [ns] (n,); per topic the positions of its messages, and a batch."""
 
     log_time: Times
     batches: list[tuple[Integers, Batch]]
 
 
 class BagReader(AbstractContextManager["BagReader"]):
-    """Reader of a bag: an MCAP file, a ``.db3`` file or a rosbag2 folder, or one that rosbag2 compressed.
+    """Reader of a bag: an MCAP file, a ``.db3`` file or a rosbag2 folder, compressed by rosbag2 or not.
 
     Use it in a ``with`` statement: databases with unfinished writes and compressed files are read in a
-    temporary folder, which `close` deletes. JointState messages of a bag that defines them otherwise than
-    ROS 2 Jazzy are given as Jazzy's.
+    temporary folder, which `close` deletes. If a bag defines JointState differently from ROS 2 Jazzy, its
+    JointState messages are converted to Jazzy's.
 
     Attributes
     ----------
@@ -70,15 +70,15 @@ class BagReader(AbstractContextManager["BagReader"]):
         Least and greatest log time [ns]; 0 and 0 for an empty bag.
     problems : list of str
         One line for each file that is not finished: it was cut off, is damaged, or is still being written.
-        What precedes the damage is read. One for each topic with fewer messages than the
-        metadata count, or, once they were read, as a file counts. Empty for a whole bag.
+        Messages before the damage are read. One line for each topic whose number of messages differs from
+        the metadata's count or, after reading, from a file's count. Empty for a whole bag.
     paths : list of Path
         Storage files in order.
 
     Raises
     ------
     BagError
-        Where it is not a bag, or is damaged.
+        If it is not a bag, or is damaged.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -111,12 +111,12 @@ class BagReader(AbstractContextManager["BagReader"]):
 
     @property
     def foreign(self) -> list[Topic]:
-        """Topics that are not in CDR, or have no schema: nothing of them is read."""
+        """Topics that are not in CDR or have no schema; their messages are not read."""
         return [topic for topic in self._topics.values() if topic.foreign]
 
     @property
     def message_count(self) -> int:
-        """Messages of all topics."""
+        """Number of messages of all `topics`."""
         return sum(t.count for t in self.topics)
 
     @property
@@ -125,24 +125,24 @@ class BagReader(AbstractContextManager["BagReader"]):
         return (self.end - self.start) * 1e-9
 
     def batches(self, topics: Iterable[str] | None = None, *, grouped: bool = False) -> Iterator[Batch]:
-        """Messages in the order of log time; those of equal time in the order of the file; files in sequence.
+        """Messages in order of log time, those of equal time in order of the file; files one after another.
 
-        If a recorder's clock was set back, messages from after that come behind those from before.
+        If a recorder's clock was set back, messages recorded after that follow those recorded before.
 
-        All topics by default. A batch ends where the topic changes. If `grouped`, order is kept within each
-        topic only, and alternating topics are separated over stretches of a few megabytes.
+        The default is all topics. A batch ends where the topic changes. `grouped` keeps the order only within
+        each topic, and separates alternating topics over stretches of a few megabytes.
 
         Raises
         ------
         BagError
-            Where a chunk is damaged or cannot be sorted.
+            If a chunk is damaged or cannot be sorted.
         """
         for mixed in self.mixed(topics, lambda topic: grouped):
             for _, batch in mixed.batches:
                 yield batch
 
     def mixed(self, topics: Iterable[str] | None, together: Callable[[Topic], bool]) -> Iterator[Mixed]:
-        """As `batches`, in long runs: topics for which `together` is true may alternate within one."""
+        """As `batches`, but in longer runs: topics for which `together` is true may alternate in a run."""
         names = None if topics is None else set(topics)
         for path, storage, known, counted in self._sources:
             numbers = [
@@ -166,18 +166,18 @@ class BagReader(AbstractContextManager["BagReader"]):
                 self._compare(path.name, stated, there)
 
     def _compare(self, what: str, counted: Mapping[str, int], found: Mapping[str, int]) -> None:
-        """Note topics with fewer messages than counted."""
+        """Note topics whose number of messages differs from `counted`; `what` is the file that counted."""
         for name, count in counted.items():
             line = str(BagError(what, f"counts {count} messages of {name}, there are {found.get(name, 0)}"))
             if found.get(name, 0) != count and line not in self.problems:
                 self.problems.append(line)
 
     def given_types(self, topic: Topic) -> Typestore:
-        """Types of a topic's messages as `batches` gives them: joint states always as Jazzy's."""
+        """Type store for a topic's messages as `batches` yields them: Jazzy's for joint states."""
         return jazzy() if topic.type_name == JOINT_STATE else self.types(topic)
 
     def deserialize(self, batch: Batch) -> tuple[list[tuple[int, Any]], list[Rejection]]:
-        """Message objects with their positions, and what could not be decoded; BagError for unknown types."""
+        """Message objects with their positions, and rejected messages; BagError for unknown types."""
         store = self.given_types(batch.topic)
         messages, rejected = [], []
         for index, data in enumerate(batch.messages()):
@@ -188,7 +188,7 @@ class BagReader(AbstractContextManager["BagReader"]):
         return messages, rejected
 
     def joint_states(self, batch: Batch) -> tuple[list[JointStates], list[Rejection]]:
-        """Columns of a batch, as `decode_joint_states`; BagError for another type than JointState."""
+        """Columns of a batch, as `decode_joint_states`; BagError for any type except for JointState."""
         if batch.topic.type_name != JOINT_STATE:
             what = f"{batch.topic.name} has type {batch.topic.type_name}, not {JOINT_STATE}"
             raise BagError(self.path, what)
@@ -221,9 +221,9 @@ class BagReader(AbstractContextManager["BagReader"]):
             self._sources[-1][2][number] = known
 
     def _put_in_order(self) -> None:
-        """Put files that are not listed by number into the order of their times.
+        """Sort files that are not listed by number into the order of their times.
 
-        Those whose times overlap by more than a clock may be late stay as listed: a clock was set back.
+        If the times of two files overlap by more than `SET_BACK`, a clock was set back: all stay as listed.
         """
         listed = [path for path, *_ in self._sources]
         if listed == sorted(listed, key=natural):
@@ -236,7 +236,7 @@ class BagReader(AbstractContextManager["BagReader"]):
             self.paths.sort(key=lambda path: place.get(path, len(place)))
 
     def types(self, topic: Topic) -> Typestore:
-        """Types as the bag means them for a topic; BagError where it does not say."""
+        """Type store of a topic as the bag defines it; BagError if there is no usable definition."""
         try:
             return store_of(topic.type_name, topic.definition)
         except ValueError as exc:
@@ -257,7 +257,7 @@ class BagReader(AbstractContextManager["BagReader"]):
 
 
 def _by_name(counts: Iterable[tuple[Topic, int]]) -> dict[str, int]:
-    """Messages by the topic's name."""
+    """Sums of message counts by topic name."""
     found = Counter[str]()
     for topic, count in counts:
         found[topic.name] += count
@@ -265,7 +265,7 @@ def _by_name(counts: Iterable[tuple[Topic, int]]) -> dict[str, int]:
 
 
 def _runs(block: Block, alternating: list[int]) -> Iterator[Block]:
-    """Consecutive messages of one channel, or of any of those that may alternate; not too many at once."""
+    """Runs of messages of one channel, or of any `alternating` channels; at most `_AT_ONCE` each."""
     key = np.where(np.isin(block.channel, alternating), -1, block.channel)
     bounds = (np.flatnonzero(np.diff(key)) + 1).tolist()
     for first, last in zip([0, *bounds], [*bounds, len(block)], strict=True):

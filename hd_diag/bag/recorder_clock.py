@@ -1,4 +1,4 @@
-"""Where a recorder's clock was set back: told by the order in which a file holds messages."""
+"""Finds where a recorder's clock was set back, from the order of messages in a file."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from hd_diag.arrays import Integers, Times
 from hd_diag.bag.block import Block
 
 SET_BACK = 300_000_000
-"""A channel goes back by less where threads write its messages out of turn [ns]."""
+"""Least step back of a channel that means the clock [ns]; threads that write out of turn cause less."""
 
-# More in one block are no clock but disorder, which is sorted.
+# More steps back in one block mean disorder instead of a clock; the messages are then sorted.
 _MOST = 100
 
 
 class RecorderClock:
-    """Follows the messages of a file, in its order.
+    """Detects steps back of the clock in the messages of a file, given in file order.
 
-    A recorder writes the messages of a channel as they come; those of several may change places, and threads
-    may write blocks of some milliseconds out of turn. If a channel goes back by more than `SET_BACK`, the
-    clock was set back: later messages are not sorted among earlier ones.
+    A recorder writes the messages of a channel as they arrive. Messages of several channels may be swapped,
+    and threads may write blocks of some milliseconds out of turn. If a channel goes back by more than
+    `SET_BACK`, the clock was set back. Later messages are then not sorted among earlier ones.
     """
 
     def __init__(self) -> None:
         self._reach: dict[int, int] = {}  # greatest log time of each channel [ns]
 
     def stretches(self, block: Block) -> Iterator[Block]:
-        """Parts of a block, in the order of its file; within each the clock was not set back."""
+        """Split a block, which is in file order, at each step back of the clock."""
         bounds = [0, *self.set_back(block.channel, block.log_time), len(block)]
         if len(bounds) == 2:
             yield block
@@ -38,7 +38,7 @@ class RecorderClock:
             yield block[begin:end]
 
     def set_back(self, channel: Integers, log_time: Times) -> list[int]:
-        """Rows where the clock was set back, for messages (n,) in sequence."""
+        """Rows where the clock was set back, given channels and log times [ns] (n,) in file order."""
         found: list[int] = []
         begin = 0
         while (
@@ -52,7 +52,7 @@ class RecorderClock:
         return found
 
     def _first_late(self, channel: Integers, log_time: Times) -> int | None:
-        """The first message after the clock was set back; the reach of the channels is that before it."""
+        """Row of the first message after a step back, or None; updates each channel's greatest log time."""
         first, before = None, dict(self._reach)
         for number in np.unique(channel).tolist():
             rows = np.flatnonzero(channel == number)
@@ -64,7 +64,7 @@ class RecorderClock:
                 first = int(rows[back[0]])
         if first is None:
             return None
-        # Messages of other channels from after that stand right before.
+        # Messages of other channels from after the step may stand right before this row.
         known = max([*before.values(), int(log_time[0])])
         reach = np.maximum(np.maximum.accumulate(log_time[: first + 1]), known)
         early = np.flatnonzero(log_time[: first + 1] >= reach - SET_BACK)

@@ -1,4 +1,4 @@
-"""What can be saved of a bag that a crash, a full disk or damage left unfinished."""
+"""Recovery of a bag that a crash, a full disk or damage left unfinished."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from hd_diag.bag.typestore import store_of
 from hd_diag.bag.writer import BagWriter
 from hd_diag.messages.schemas import jazzy
 
-# Messages copied at once: their columns as Python numbers take far more memory than they themselves.
+# Messages copied at once, because Python numbers take far more memory than columns.
 _AT_ONCE = 1 << 14
 _TOO_LONG = f"messages are longer than {MAX_MESSAGE} bytes"
-_Piece = tuple[dict[int, Topic], Block, int]  # topics, messages, place in the file [byte]
+_Piece = tuple[dict[int, Topic], Block, int]  # topics, messages, offset in the file [byte]
 
 
 @dataclass
 class FileRecovery:
-    """Result for one storage file: its size and unreadable bytes [byte], messages saved.
+    """Result for one storage file: its size, unreadable bytes [byte], and the number of saved messages.
 
-    Unverified are messages saved that no checksum covers. Messages that the file counts but that were not
-    read, or that belong to no topic, are lost for certain. `problems` has one line for each thing that is
-    wrong.
+    `unverified` counts messages that were read without a checksum. `lost` counts messages that are certainly
+    lost: the file counts them but they were not read, or they could not be copied, for example for lack of a
+    topic. `problems` has one line for each problem.
     """
 
     path: Path
@@ -51,9 +51,9 @@ class FileRecovery:
 class RecoveryReport:
     """What was saved and what was lost.
 
-    `out` are the files written and read back, `counts` the messages saved of each topic, `start` and
-    `end` their least and greatest log time [ns], `problems` what is wrong with the folder,
-    `unknown` topics whose types the bag does not define in a way that can be understood.
+    `out` lists the files written and read back, `counts` the number of saved messages of each topic. `start`
+    and `end` are their least and greatest log time [ns]. `problems` says what is wrong with the folder.
+    `unknown` lists topics whose type definitions in the bag cannot be understood.
     """
 
     out: list[Path]
@@ -76,7 +76,7 @@ class RecoveryReport:
         self.end = log_time if self.end is None else max(self.end, log_time)
 
     def statement(self) -> list[str]:
-        """What was saved and lost, in lines for people."""
+        """What was saved and lost, as lines of text."""
         total = sum(self.counts.values())
         until = "" if self.end is None else f", the last at {self.end * 1e-9:.9f} s"
         lines = [f"saved {total} messages{until}"]
@@ -117,19 +117,19 @@ def recover(
     overwrite: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> RecoveryReport:
-    """Copy everything that can be read of a bag into a new, whole one, and read that back.
+    """Copy all readable messages of a bag into a new, whole bag, and verify it by reading it back.
 
-    If nothing of an unfinished or damaged bag can be saved, nothing is written or replaced. After an error
-    a new output is left without its end, so that no reader takes it for whole; a bag that `overwrite` would
-    replace stays as it was, also after Ctrl-C.
+    If nothing of an unfinished or damaged bag can be saved, nothing is written or replaced. After an error a
+    new output has no end, so that no reader takes it for whole. A bag that `overwrite` would replace stays
+    unchanged after an error or Ctrl-C.
 
-    `progress` is called with the bytes done and the bytes in all; if it raises KeyboardInterrupt, a new
-    output is finished with what it has.
+    `progress` is called with the bytes done and the bytes in all. If it raises KeyboardInterrupt, a new
+    output is finished with the messages copied so far.
 
     Raises
     ------
     BagError
-        Where `bag` is not a bag at all, or `out` cannot be written or does not read back the same.
+        If `bag` is not a bag at all, or `out` cannot be written or does not read back the same.
     """
     check_output(out, bag)
     found = find_files(Path(bag), lenient=True)
@@ -146,7 +146,7 @@ def recover(
                     progress(min(before + reached, total), total)
                 before += size
             if report.complete:
-                begin()  # a whole bag that is empty stays one
+                begin()  # a whole but empty bag is copied too
             paths = begin().paths if begin.cache_info().currsize else []
         if paths:
             _verify(paths, sum(file.messages for file in files), lambda: progress(total, total))
@@ -164,7 +164,7 @@ def _copy(
     *,
     packed: bool,
 ) -> dict[tuple[str, str], Topic]:
-    """Write the messages that have possible times and known topics (name and type)."""
+    """Write the messages with valid times and defined types; returns their topics by name and type."""
     here = set(np.unique(block.channel).tolist())
     known = {number: topics[number] for number in here & topics.keys() if _is_defined(topics[number])}
     for topic in known.values():
@@ -202,13 +202,13 @@ def _copy(
 
 
 def _is_defined(topic: Topic) -> bool:
-    """Whether the type of a topic is defined, in the bag or in ROS 2 Jazzy; or it is foreign."""
+    """Whether the type of a topic is defined in the bag or in ROS 2 Jazzy, or the topic is foreign."""
     has_text = topic.definition is not None and topic.definition.text != ""
     return bool(topic.foreign) or has_text or topic.type_name in jazzy().fielddefs
 
 
 def _is_understood(topic: Topic) -> bool:
-    """Whether the messages of a topic can be decoded, or need not be."""
+    """Whether a topic's definition can be understood; true for foreign topics, which are only copied."""
     if topic.foreign:
         return True
     try:
@@ -219,7 +219,7 @@ def _is_understood(topic: Topic) -> bool:
 
 
 def _salvage(report: FileRecovery) -> Iterator[_Piece]:
-    """Topics, messages and place in the file, piece by piece, for as much as can be read."""
+    """Yield topics, messages and offset in the file for each readable piece; notes problems in `report`."""
     try:
         with ExitStack() as stack:
             plain, problem = unpack(report.path, stack)
@@ -232,7 +232,7 @@ def _salvage(report: FileRecovery) -> Iterator[_Piece]:
 
 
 def _salvage_sqlite(path: Path, report: FileRecovery, stack: ExitStack) -> Iterator[_Piece]:
-    """All messages, also those that belong to no topic; a damaged database is an error."""
+    """All messages, also those without a topic; BagError if the database is damaged."""
     found, place = SqliteFile(path, stack), 0
     for block in found.blocks(None):
         place += int(block.size.sum())
@@ -241,7 +241,7 @@ def _salvage_sqlite(path: Path, report: FileRecovery, stack: ExitStack) -> Itera
 
 
 def _salvage_mcap(path: Path, report: FileRecovery, stack: ExitStack) -> Iterator[_Piece]:
-    """Messages of every section, and what can be read where the walk over the records got stuck."""
+    """Messages of every section, and of truncated chunks where the walk over the records stopped."""
     found = Scan(path, stack.enter_context(path.open("rb")))
     gaps, read = [], 0
     while found.problem:
@@ -277,12 +277,12 @@ def _salvage_mcap(path: Path, report: FileRecovery, stack: ExitStack) -> Iterato
 
 
 def _verify(paths: list[Path], count: int, progress: Callable[[], None]) -> None:
-    """Read the result, check its checksums and count it; a wrong result loses its end."""
+    """Read the result back, check checksums and count; if wrong, cut off its end and raise BagError."""
     try:
         found = 0
         for path in paths:
             again = FileRecovery(path, path.stat().st_size)
-            for _, block, _ in _salvage(again):  # in the order of the file: nothing is held for sorting
+            for _, block, _ in _salvage(again):  # in file order, so nothing is held for sorting
                 found += len(block)
                 progress()
             if again.problems:

@@ -1,4 +1,4 @@
-"""Where each start of the node writes its log, and which old files are deleted when there are too many."""
+"""Path of the log of each start of the node, and deletion of old log files."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from hd_diag.bag.writer import BagWriter
 _NAME = "%Y-%m-%d_%H-%M-%S"
 _START = r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d(-\d+)?"
 
-_PERIOD = 10.0  # between looks [s]
-_HEAD = 64  # bytes in which a file says who wrote it
+_PERIOD = 10.0  # between checks [s]
+_HEAD = 64  # first bytes of a file, which name its writer
 
 
 @dataclass(frozen=True)
 class LogFolder:
-    """The place of a log as it is configured.
+    """The configured place of a log.
 
-    Each start has a bag of its own, named by date and time: a folder in `path`, or a file beside it where
-    `path` ends in ``.mcap`` and is there already. If `fixed`, the bag is always `path` itself.
+    Each start writes its own bag, named by date and time: a folder in `path`, or a file beside `path` if that
+    ends in ``.mcap`` and exists already. If `fixed`, the bag is always `path` itself.
     """
 
     path: Path
     fixed: bool = False
 
     def bag(self) -> Path:
-        """Path of the bag of a start that begins now; nobody has it except for a fixed one."""
+        """Path of the bag for a start that begins now; only a fixed one may exist already."""
         is_file = self.path.suffix == ".mcap"
         if self.fixed or (is_file and not os.path.lexists(self.path)):
             return self.path
@@ -50,7 +50,7 @@ class LogFolder:
         raise BagError(self.path, f"holds a thousand logs named {name}")
 
     def files(self) -> Iterator[Path]:
-        """MCAP files of all starts that this package has written, links excepted."""
+        """MCAP files of all starts that this package has written, without symbolic links."""
         for file in self._named():
             with suppress(OSError):
                 if not file.is_symlink() and file.is_file() and _is_ours(file):
@@ -69,10 +69,10 @@ class LogFolder:
 
 
 class Retention:
-    """Keeps a folder within a size [byte] and an age [s], in a thread: a disk may be slow.
+    """Keeps a folder within a size [byte] and an age [s], in a thread because a disk may be slow.
 
-    0 stands for no limit. `problem` says what cannot be deleted. `going` are the files that are being
-    deleted: who begins to read leaves them out.
+    0 means no limit. `problem` says what cannot be deleted. `going` lists the files that are being deleted; a
+    new reader must skip them.
     """
 
     def __init__(self, folder: LogFolder, most_bytes: int, most_age: float) -> None:
@@ -83,13 +83,13 @@ class Retention:
         self.going: Sequence[Path] = ()
 
     def look(self, writer: BagWriter | None, now: float, at_once: bool = False) -> None:
-        """Look now and then, or at once, for files to delete; BagError if the writer's metadata fail."""
+        """Check for files to delete if it is time or `at_once`; BagError if writing the metadata fails."""
         self._next = now if at_once else self._next
         if not any(self._limits[1:]) or (self._job is not None and not self._job.done()):
             return
         own = writer.paths if writer is not None and writer.error is None else []
         found, self._job = self._job.result() if self._job is not None else [], None
-        self.going = found = [file for file in found if not _is_held(file)]  # since then read by a diagnosis
+        self.going = found = [file for file in found if not _is_held(file)]  # a diagnosis may now read some
         if writer is not None and any(path in own for path in found):
             writer.take_away(found)
         if found:
@@ -99,7 +99,7 @@ class Retention:
             self._job = self._pool.submit(self._surplus, own)
 
     def close(self) -> None:
-        """Wait for what is under way."""
+        """Wait for the running job."""
         self._pool.shutdown()
 
     def _surplus(self, own: Sequence[Path]) -> list[Path]:
@@ -121,10 +121,10 @@ class Retention:
 
 
 def surplus(folder: LogFolder, most_bytes: int, most_age: float, own: Sequence[Path] = ()) -> list[Path]:
-    """Files to delete, the oldest first, until those of a folder are within a size [byte] and an age [s].
+    """Files to delete, oldest first, so that the rest of a folder is within a size [byte] and an age [s].
 
-    0 stands for no limit. The last of a writer's `own` files stays, another writer's bag stays while it is
-    written, and what a diagnosis reads stays until it has ended.
+    0 means no limit. The last of a writer's `own` files stays. Another writer's bag stays during writing,
+    and files that a diagnosis reads stay until it has ended.
     """
     now, found = time.time(), list[tuple[float, int, Path]]()
     for file in folder.files():
@@ -134,7 +134,7 @@ def surplus(folder: LogFolder, most_bytes: int, most_age: float, own: Sequence[P
     total, gone = sum(size for _, size, _ in found), list[Path]()
     for changed, size, file in sorted(found):
         is_surplus = (most_bytes and total > most_bytes) or (most_age and now - changed > most_age)
-        # A writer locks its whole folder: of its own files only each one's lock counts.
+        # A writer locks its whole folder, so only each file's own lock counts for `own` files.
         if is_surplus and not (_is_held(file) if file in own[:-1] else _is_written(file)):
             gone.append(file)
             total -= size
@@ -142,13 +142,13 @@ def surplus(folder: LogFolder, most_bytes: int, most_age: float, own: Sequence[P
 
 
 def delete(file: Path, own: Sequence[Path] = ()) -> None:
-    """Delete a file of a bag and its entry in the metadata; the last one takes the folder with it.
+    """Delete a file of a bag and its entry in the metadata; with the last file also the folder.
 
-    Of a writer's `own` files the writer keeps the metadata. Raises BagError where it cannot be deleted.
+    The writer itself updates the metadata of its `own` files. Raises BagError if deletion fails.
     """
     try:
         if file not in own and (file.parent / "metadata.yaml").is_file():
-            with suppress(BagError, *UNREADABLE):  # what cannot be read stays as it is
+            with suppress(BagError, *UNREADABLE):  # unreadable metadata stay as they are
                 _forget(file)
         file.unlink(missing_ok=True)
         if file.parent not in (path.parent for path in own) and re.fullmatch(_START, file.parent.name):
@@ -180,7 +180,7 @@ def _forget(file: Path) -> None:
 
 
 def _remove_empty(folder: Path) -> None:
-    """Delete a folder without bag files, unless other files lie there."""
+    """Delete a folder without bag files and its unlocked verdicts, unless it has other files."""
     verdicts = [*folder.glob("verdict_*")]
     if not [*_files(folder)] and not any(map(_is_held, verdicts)):
         for verdict in verdicts:
@@ -204,7 +204,7 @@ def _is_ours(file: Path) -> bool:
 
 
 def _is_written(file: Path) -> bool:
-    """Whether somebody is writing or keeps the file, or the folder that it is in."""
+    """Whether a writer or reader has locked the file, or the folder that it is in."""
     return any(_is_held(place) for place in (file, file.parent))
 
 

@@ -1,4 +1,4 @@
-"""What rosbag2 adds to its storage files: offered QoS profiles and ``metadata.yaml``, version 9 (Jazzy)."""
+"""Additions of rosbag2 to storage files: offered QoS profiles and ``metadata.yaml``, version 9 (Jazzy)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, Qo
 from hd_diag.bag.mcap_file import Stream, Written
 
 _NO_START = 2**63 - 1  # rosbag2 starts from the largest time and lowers it with each message [ns]
-# rmw's infinite duration; rosbag2 writes it where a deadline, lifespan or lease is not set.
+# rmw's infinite duration; rosbag2 writes it if a deadline, lifespan or lease is not set.
 _INFINITE = QosTime(9223372036, 854775807)
 RELIABLE = Qos(
     history=QosHistory.KEEP_LAST,
@@ -27,16 +27,16 @@ RELIABLE = Qos(
     liveliness_lease_duration=_INFINITE,
     avoid_ros_namespace_conventions=False,
 )
-"""What publishers offer by default."""
+"""QoS profile that publishers offer by default."""
 UNREADABLE = yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError, RecursionError, OverflowError
-"""Errors of YAML that is invalid or not what was expected."""
+"""Errors raised by invalid or unexpected YAML."""
 _MAX_DEPTH = 50  # rosbag2's own files have a depth of 7
 _MAX_TEXT = 4 << 20
 
 
 @functools.lru_cache(maxsize=256)
 def plain_offers(text: str) -> str:
-    """A channel's ``offered_qos_profiles`` as this version writes them; a bag may have 20,000 channels."""
+    """A channel's ``offered_qos_profiles`` in this version's form; cached, as a bag may have 20,000."""
     return dump_offers(parse_offers(text))
 
 
@@ -55,7 +55,7 @@ def dump_offers(offers: Sequence[Qos]) -> str:
 
 
 def parse_offers(text: str) -> list[Qos]:
-    """Profiles from a channel's ``offered_qos_profiles``, of any metadata version; none where unreadable."""
+    """Profiles from a channel's ``offered_qos_profiles`` of any metadata version; empty if unreadable."""
     from rosbags.rosbag2.metadata import parse_qos  # late: it imports all of rosbags
 
     try:
@@ -65,7 +65,7 @@ def parse_offers(text: str) -> list[Qos]:
 
 
 def _plain(offer: Qos) -> Qos:
-    """The profile with numbers where a hostile one may hold anything."""
+    """The profile with durations and depth converted to int, because a hostile one may hold anything."""
     pairs = offer._asdict().items()
     plain: dict[str, Any] = {
         name: QosTime(*map(int, time)) for name, time in pairs if isinstance(time, QosTime)
@@ -75,12 +75,12 @@ def _plain(offer: Qos) -> Qos:
 
 
 def written(files: Iterable[Written], stream: Stream) -> int:
-    """Messages of a topic that have reached the files."""
+    """Number of a topic's messages that have reached the files."""
     return sum(file.statistics.channel_message_counts.get(stream.channel.id, 0) for file in files)
 
 
 def metadata(files: Sequence[Written], streams: Iterable[Stream]) -> dict[str, Any]:
-    """The mapping that rosbag2 puts below ``rosbag2_bagfile_information``, of files with what is in them."""
+    """The mapping that rosbag2 puts below ``rosbag2_bagfile_information``, for files and topics."""
     topics = [
         {
             "topic_metadata": {
@@ -119,7 +119,7 @@ def _extent(files: Sequence[Statistics]) -> dict[str, Any]:
 
 
 class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]
-    """No anchors: rosbag2's files have none, and equal profiles are common."""
+    """Dumper without anchors: equal profiles are common, but rosbag2's files have no anchors."""
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
@@ -134,7 +134,7 @@ def dump_yaml(node: Mapping[str, Any] | Sequence[Any]) -> str:
 
 
 def load_yaml(source: str | Path) -> Any:
-    """Plain values of YAML, else ValueError, also where it is so deep that libyaml's loader would crash."""
+    """Plain values of YAML; ValueError if it is too long, or so deep that libyaml's loader would crash."""
     size = source.stat().st_size if isinstance(source, Path) else len(source)
     if size > _MAX_TEXT:
         raise ValueError(f"{size} bytes of YAML are too many")

@@ -1,4 +1,4 @@
-"""Storage files of rosbag2 in SQLite (``.db3``): opened unchanged, read in the order of time."""
+"""Storage files of rosbag2 in SQLite (``.db3``): read in order of time, never changed."""
 
 from __future__ import annotations
 
@@ -20,13 +20,14 @@ from hd_diag.bag.mcap_chunk import AT_ONCE, LARGE
 from hd_diag.bag.recorder_clock import RecorderClock
 from hd_diag.messages.schemas import MAX_READ, Definition, too_long
 
-# A damaged or hostile database can keep a query busy for ever; an honest row takes less than 200 steps.
+# Limits of steps, because a damaged or hostile database can keep a query busy for ever; a regular row takes
+# less than 200 steps.
 _STEPS_PER_BYTE = 100
 _STEPS_PER_TURN = 10_000
-_ROWS, _BYTES = 4096, 4 << 20  # that are read at a time
-_HEADS = 1 << 16  # rows whose times are looked through at a time
+_ROWS, _BYTES = 4096, 4 << 20  # rows, and bytes, read at a time
+_HEADS = 1 << 16  # rows checked for steps of the clock at a time
 _DAMAGE = (sqlite3.Error, TypeError, ValueError, OverflowError)
-# Of a BLOB alone SQLite knows the length without reading it.
+# SQLite knows the length without reading the data only for a BLOB.
 _AS_READ = f"""
     CASE WHEN typeof(data) <> 'blob' THEN x'' WHEN LENGTH(data) <= {MAX_READ} THEN data ELSE LENGTH(data) END
 """
@@ -42,18 +43,18 @@ _COUNT = """
 
 
 def is_sqlite(path: Path) -> bool:
-    """Whether a file begins as SQLite databases do."""
+    """Whether a file begins with the magic bytes of SQLite."""
     with path.open("rb") as file:
         return file.read(16) == b"SQLite format 3\0"
 
 
 class SqliteFile:
-    """A ``.db3`` file with what `McapStorage` gives of the other format; read and never changed.
+    """A ``.db3`` file with the interface of `McapStorage`; read and never changed.
 
-    A crash leaves unfinished writes in a file beside it, ``-wal`` or ``-journal``. SQLite would clean that
-    up, or refuse to open a file that it may not write; so such a database is read in a copy, which the stack
-    deletes. `problem` says what its own check found, because damage may hide rows. Raises BagError
-    where it is no database of rosbag2, or so damaged that it cannot be read.
+    A crash leaves unfinished writes in a file beside the database, ``-wal`` or ``-journal``. SQLite would
+    clean that file up, or refuse to open a file that it may not write. So such a database is read in a copy,
+    which `stack` deletes. `problem` has the result of SQLite's integrity check, because damage may hide rows.
+    Raises BagError if the file is no database of rosbag2, or so damaged that it cannot be read.
     """
 
     def __init__(self, path: Path, stack: ExitStack) -> None:
@@ -63,7 +64,7 @@ class SqliteFile:
         self._size = sum(file.stat().st_size for file in (path, *beside))
         with path.open("rb") as file:
             in_wal_mode = file.read(20)[18:] == b"\2\2"
-        # Immutable: in that mode SQLite makes files beside the database even to read it.
+        # Without `immutable`, SQLite in WAL mode makes files beside the database even to read it.
         self._uri = f"{path.absolute().as_uri()}?mode=ro" + ("&immutable=1" if in_wal_mode else "")
         try:
             if beside:
@@ -84,12 +85,12 @@ class SqliteFile:
                 self.topics[number].count = count
 
     def blocks(self, numbers: Sequence[int] | None) -> Iterator[Block]:
-        """Messages of some topics in order of time, or all in stored order; BagError if damaged.
+        """Messages of some topics in order of time, or of all (None) in stored order; BagError if damaged.
 
-        If the recorder's clock was set back, messages from after that come behind those from before. When all
-        topics are asked for, messages above `LARGE` come without their content, if Python can read that piece
-        by piece (3.11 and later). When some topics are asked for, messages above `MAX_READ` are `too_long`,
-        which no decoder takes, and anything but a BLOB is given empty.
+        If the recorder's clock was set back, messages recorded after that follow those recorded before. With
+        None, content above `LARGE` is read on demand, if Python can read it piece by piece (3.11 and later).
+        With topics, a message above `MAX_READ` becomes `too_long`, which no decoder takes, and data that are
+        not a BLOB become empty.
         """
         which, content, read, order = "true", "CAST(data AS BLOB)", 0, "id"
         if numbers is not None:
@@ -111,7 +112,7 @@ class SqliteFile:
             raise self._error(exc) from exc
 
     def _some(self, cursor: sqlite3.Cursor) -> Iterator[Block]:
-        """The rows of a query in portions of a few megabytes; a long row comes alone."""
+        """Yield the rows of a query as blocks of a few megabytes; a long message has its own block."""
         rows, size = list[tuple[int, int, bytes]](), 0
         for number, time, found, row in cursor:
             content = too_long(found) if isinstance(found, int) else found
@@ -127,7 +128,7 @@ class SqliteFile:
             yield _block_of(rows)
 
     def _long_message(self, number: int, time: int, row: int) -> Block:
-        """A message without its content."""
+        """A message whose content is read on demand."""
 
         def read() -> Iterator[bytes]:
             with closing(self._open()) as db, db.blobopen("messages", "data", row, readonly=True) as content:
@@ -140,7 +141,7 @@ class SqliteFile:
         return replace(head, size=np.array([size]), long=LongMessage(size, read))
 
     def _copy(self, beside: Sequence[Path], folder: Path) -> None:
-        """Copy files that belong together: a writer may be at work."""
+        """Copy the database and the files beside it; again if a writer changed it, at most three times."""
         copy = folder / "copy.db3"
         self._uri = f"{copy.as_uri()}?mode=rw"
         for _ in range(3):
@@ -154,11 +155,11 @@ class SqliteFile:
         raise BagError(self._path, "is being written by another process")
 
     def _open(self) -> sqlite3.Connection:
-        """Open a connection that writes nothing and takes no longer than the size of the file allows."""
+        """Open a connection that writes nothing, with a limit of steps in proportion to the file's size."""
         db = sqlite3.connect(self._uri, uri=True)
         db.text_factory = lambda text: text.decode(errors="replace")
         if hasattr(db, "setlimit"):  # Python 3.11 and later
-            db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_READ)  # of names and definitions too
+            db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_READ)  # limits names and definitions too
         db.execute("PRAGMA trusted_schema=OFF")
         db.execute("PRAGMA query_only=ON")
         turns, most = itertools.count(), 1000 + self._size * _STEPS_PER_BYTE // _STEPS_PER_TURN
@@ -170,31 +171,31 @@ class SqliteFile:
         return f"`sqlite3 {self._path.name} .recover | sqlite3 new.db3` saves what can be read"
 
     def _error(self, exc: Exception) -> BagError:
-        """The error in words for people, with advice where the database is damaged."""
+        """The error as BagError, with advice if the database is damaged."""
         if isinstance(exc, ValueError):
             return exc if isinstance(exc, BagError) else BagError(self._path, exc)
         what = f"SQLite: {exc}" if isinstance(exc, sqlite3.Error) else f"is damaged: {exc}"
-        # Subclasses stand for what is no damage: no right to read, a query that takes too long.
+        # Subclasses do not mean damage: no right to read, a query that takes too long.
         if not isinstance(exc, sqlite3.Error) or type(exc) is sqlite3.DatabaseError:
             what += f"; {self._advice}"
         return BagError(self._path, what)
 
 
 def _clock_stretches(db: sqlite3.Connection, which: str) -> list[str]:
-    """Conditions, one after the other, for the rows between which the recorder's clock was not set back."""
+    """SQL conditions, in order, that split the rows at each step back of the recorder's clock."""
     clock, found = RecorderClock(), list[int]()
     cursor = db.execute(f"SELECT id, topic_id, timestamp FROM messages WHERE {which} ORDER BY id")
     while rows := cursor.fetchmany(_HEADS):
         number, channel, time = np.array(rows, np.int64).T
         found += number[clock.set_back(channel, time)].tolist()
-    # The plus keeps SQLite from sorting by number first: the index of times gives the order.
+    # The plus keeps SQLite from using the order of `id`, so that the index of times gives the order.
     begins, ends = [f"AND +id >= {row} " for row in found], [f"AND +id < {row}" for row in found]
     return [begin + end for begin, end in zip(["", *begins], [*ends, ""], strict=True)]
 
 
 def _topics(db: sqlite3.Connection) -> dict[int, Topic]:
     """Topics by number."""
-    # Views could be endless queries: what is read must be plain tables.
+    # Only plain tables are read, because a view could be an endless query.
     tables = {name for (name,) in db.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     if not {"messages", "topics"} <= tables:
         raise ValueError("is not a rosbag2 database: the tables messages and topics are missing")
@@ -216,7 +217,7 @@ def _topics(db: sqlite3.Connection) -> dict[int, Topic]:
 
 
 def _block_of(rows: list[tuple[int, int, bytes]]) -> Block:
-    """Rows of (number of the topic, time [ns], content) as columns."""
+    """Block of rows of (topic number, time [ns], content)."""
     channels, times, contents = zip(*rows, strict=True)
     sizes, time = np.array([len(content) for content in contents], np.int64), np.array(times, np.int64)
     data = np.frombuffer(b"".join(contents), np.uint8)

@@ -1,4 +1,4 @@
-"""Topics of a bag that is written: their records, each with a number of its own."""
+"""Topics of a bag that is written: schema and channel records with unique numbers."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ class Streams(dict[tuple[str, str], Stream]):
         qos: Qos | str | None = None,
         known: Definition | None = None,
     ) -> Stream:
-        """Stream of a topic, which is declared where it is new; BagError, of a path, where it cannot be.
+        """Stream of a topic, which is declared if it is new; BagError for `path` if it cannot be declared.
 
-        `qos` is the offered profile, or the YAML text of another bag's ``offered_qos_profiles``; `known` the
-        definition of the type to carry, by default that of ROS 2 Jazzy.
+        `qos` is the offered profile, or the YAML text of another bag's ``offered_qos_profiles``. `known` is
+        the type's definition, by default that of ROS 2 Jazzy.
         """
         if (found := self.get((topic, type_name))) is not None:
             return found
@@ -42,7 +42,7 @@ class Streams(dict[tuple[str, str], Stream]):
             known = known or definition(type_name)
         except KeyError as exc:
             raise BagError(path, f"type {type_name} of topic {topic} has no known definition") from exc
-        own = known.text.encode(errors="surrogateescape"), known.encoding, type_name  # it may be binary
+        own = known.text.encode(errors="surrogateescape"), known.encoding, type_name  # text may be binary
         schema = self._schemas.setdefault(own[1:], Schema(len(self._schemas) + 1 if type_name else 0, *own))
         offers = plain_offers(qos) if isinstance(qos, str) else dump_offers([qos or RELIABLE])
         extra = {"offered_qos_profiles": offers, "topic_type_hash": known.type_hash}

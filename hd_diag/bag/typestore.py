@@ -16,19 +16,19 @@ from hd_diag.messages.encoding import encode_joint_states
 from hd_diag.messages.joint_states import JOINT_STATE
 from hd_diag.messages.schemas import Definition, deserialize, jazzy
 
-# What rosbag2 and MCAP put before each part of a definition: 80 times "=", and what it defines.
+# Separator of rosbag2 and MCAP before each part of a definition: 80 times "=", then its kind and name.
 _PART = re.compile(r"^=+\n(IDL|MSG): *(\S+)\n", re.MULTILINE)
 _NAME = re.compile(r"[A-Za-z]\w{0,99}/(msg|srv|action)/[A-Za-z]\w{0,99}", re.ASCII)
-# The deserializer of rosbags is unrolled over fixed arrays: longer ones of anything but numbers are refused.
+# rosbags unrolls its deserializer over fixed arrays, so longer ones are refused, except for numbers.
 _MAX_UNROLLED = 1000
 _MAX_TEXT = 128 << 10
 
 
 @functools.lru_cache(maxsize=64)
 def store_of(type_name: str, known: Definition | None) -> Typestore:
-    """Type store that has `type_name`: that of ROS 2 Jazzy, unless the bag means something else by it.
+    """Type store that has `type_name`: that of ROS 2 Jazzy, unless the bag defines the type differently.
 
-    Raises ValueError where the definition is missing or cannot be understood.
+    Raises ValueError if the definition is missing or cannot be understood.
     """
     store, is_jazzy = jazzy(), type_name in jazzy().fielddefs
     if known is None or not known.text:
@@ -42,8 +42,8 @@ def store_of(type_name: str, known: Definition | None) -> Typestore:
 
 
 def _registered(known: Definition) -> Typestore:
-    """A fresh store with a definition and what it uses."""
-    # The parser's time grows with the square of the number of empty and comment lines.
+    """A new store with a definition and the types that it uses."""
+    # The parser's time grows with the square of the number of empty and comment lines, so they are removed.
     comment = "#" if known.encoding == "ros2msg" else ("//", "#include")
     lines = (line for line in known.text.splitlines() if line.strip())
     text = "".join(line + "\n" for line in lines if not line.lstrip().startswith(comment))
@@ -64,7 +64,7 @@ def _registered(known: Definition) -> Typestore:
 
 
 def _types(text: str, known: Definition) -> Typesdict:
-    """Types of a definition; each part of IDL is independent."""
+    """Types of a definition; each IDL part is parsed separately."""
     if known.encoding == "ros2msg":
         return get_types_from_msg(text, known.type_name)
     first, *parts = _PART.split(text)
@@ -75,7 +75,7 @@ def _types(text: str, known: Definition) -> Typesdict:
 
 
 def _is_bounded(desc: Any) -> bool:
-    """Whether decoding takes work in proportion to the data: no long unrolled, and no empty, fixed arrays."""
+    """Whether decoding work is proportional to the data: no empty and no long, unrolled fixed arrays."""
     if desc[0] != Nodetype.ARRAY:
         return True
     element, length = desc[1]
@@ -84,9 +84,9 @@ def _is_bounded(desc: Any) -> bool:
 
 
 def standard_joint_state(data: Any, store: Typestore) -> memoryview:
-    """A JointState message as ROS 2 Jazzy has it, from one of another definition; empty where damaged.
+    """Convert a JointState message of another definition to that of ROS 2 Jazzy; empty if it is damaged.
 
-    Bytes that cannot be CDR stay as they are: decoding says why.
+    Bytes that cannot be CDR are returned unchanged, so that decoding says why.
     """
     if len(data) and data[0]:
         return memoryview(bytes(data))

@@ -1,4 +1,4 @@
-"""Bags as rosbag2 writes them (MCAP), such that a crash at any moment costs less than a second."""
+"""Writes bags like rosbag2 (MCAP); a crash at any moment costs less than a second."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _LAST_TIME = 2**63 - 1
 
 
 class BagWriter(AbstractContextManager["BagWriter"]):
-    """Writer of a bag: one MCAP file where `path` ends in ``.mcap``, else a rosbag2 folder.
+    """Writer of a bag: one MCAP file if `path` ends in ``.mcap``, otherwise a rosbag2 folder.
 
     Parameters
     ----------
@@ -39,34 +39,34 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     flush_period : float, optional
         Age at which a chunk is closed [s]; needs calls of `flush_if_due` when no messages come.
     max_size : int, optional
-        Size at which the next file is begun [byte]; 0 for one file. It is overshot by one chunk at most.
+        Size at which the next file is begun [byte]; 0 for one file. Files exceed it by at most one chunk.
     max_duration : float, optional
         Log time after which the next file is begun [s]; 0 for one file.
     sync_period : float, optional
-        Age at which the disk itself is made to take what was written [s], as `flush_period`; 0 for never.
+        Period of syncing written data to the disk itself [s], in calls of `flush_if_due`; 0 for never.
     overwrite : bool, optional
-        Replace the file, or the bag in the folder, where there is one.
+        Replace an existing file, or an existing bag in the folder.
 
     Attributes
     ----------
     error : BagError or None
-        What ended the writing.
+        Error that ended the writing.
 
     Raises
     ------
     BagError
-        Where the bag cannot be made.
+        If the bag cannot be made.
 
     Notes
     -----
-    Not safe for use by several threads at once. Chunks are compressed and written in a thread, a few behind
-    the caller: errors come some calls late, at the latest in `flush`, `flush_if_due` or `close`. After one
-    the file is cut back to whole records, and every further write raises the same error; `close` finishes
-    the file if it still can, and does not raise; `resume` goes on in another file. A file that somebody
-    deletes, moves or cuts off is an error, too, at the next chunk. See `Place` for locks and links.
-    A ``with`` statement finishes it too, unless an error ends it, Ctrl-C excepted: then it is left without
-    its end, so that no reader takes it for whole. Without splits the summary of a log grows by about 50 MB a
-    day, in memory too, at four chunks a second.
+    Not safe for use by several threads at once. A thread compresses and writes chunks, a few behind the
+    caller. So errors are raised some calls late, at the latest by `flush`, `flush_if_due` or `close`. After
+    an error the file is cut back to whole records, and every further write raises the same error. `close`
+    then finishes the file if possible and does not raise; `resume` continues in another file. If somebody
+    deletes, moves or truncates the file, the next chunk raises an error. See `Place` for locks and links.
+    A ``with`` statement also finishes the file. If an error other than Ctrl-C ends the statement, the file
+    is left without its end, so that no reader takes it for whole. Without splits the summary of a log grows
+    by about 50 MB a day, in memory too, at four chunks a second.
     """
 
     def __init__(
@@ -91,8 +91,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._compression, self._flush_period = compression, flush_period
         self._max_size, self._max_duration = max_size, max_duration
         self._chunk_size, self._overwrite = chunk_size, overwrite
-        self._files: list[Written] = []  # the last one is that of `_file`
-        self._taken_away: Counter[int] = Counter()  # messages by channel in files that are there no more
+        self._files: list[Written] = []  # the last one belongs to `_file`
+        self._taken_away: Counter[int] = Counter()  # messages by channel in deleted files
         self._streams = Streams()
         self._closed = False
         self._place, self._disk = Place(self.path), Disk(sync_period)
@@ -108,7 +108,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
 
     @property
     def counts(self) -> dict[str, int]:
-        """Messages written of each topic; after an error those that have reached a file."""
+        """Number of messages written of each topic; after an error only those that have reached a file."""
         counts: Counter[str] = Counter()
         for stream in self._streams.values():
             counts[stream.channel.topic] += self._reached(stream) if self.error else stream.count
@@ -119,7 +119,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         return self._file.has_reached(size, duration, log_time)
 
     def split(self) -> None:
-        """Finish the file and go on in the next one; raises BagError where that fails."""
+        """Finish the file and continue in the next one; raises BagError if that fails."""
         self._check_open()
         with self._guarded():
             file = self._file
@@ -129,7 +129,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             file.release()
 
     def take_away(self, paths: Collection[Path]) -> None:
-        """Leave finished files out of the metadata before somebody deletes them."""
+        """Remove finished files from the metadata; call it before they are deleted."""
         self._check_open()
         gone = [file for file in self._files[:-1] if file.path in paths]
         for file in gone:
@@ -143,14 +143,13 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     ) -> None:
         """Declare a topic before its first message; needed only for types that ROS 2 Jazzy does not have.
 
-        `qos` is the offered profile, or the YAML text of another bag's ``offered_qos_profiles``; `known` the
-        definition of the type to carry, by default that of ROS 2 Jazzy; a definition without a name counts as
-        none.
+        `qos` is the offered profile, or the YAML text of another bag's ``offered_qos_profiles``. `known` is
+        the type's definition, by default that of ROS 2 Jazzy. A type without a name is written as no schema.
 
         Raises
         ------
         BagError
-            Where the type is not known, or the bag is closed or failed.
+            If the type is not known, or the bag is closed or failed.
         """
         self._check_open()
         self._streams.add(self.path, topic, type_name, qos, known)
@@ -167,22 +166,22 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     ) -> None:
         """Append one message: CDR with its 4-byte header, as a raw subscription gives it.
 
-        Times [ns] are 0 or more; the publish time defaults to the log time. The topic is declared with the
-        profile and the definition, as in `add_topic`, where it is new.
+        Times [ns] are 0 or more; the publish time defaults to the log time. A new topic is declared with
+        `qos` and `known`, as by `add_topic`.
 
         Raises
         ------
         BagError
-            Where the message cannot be written (disk full, closed, unknown type, time out of range).
+            If the message cannot be written (disk full, closed, unknown type, time out of range).
         """
         stream = self._stream(topic, type_name, qos, known)
         publish = log_time if publish_time is None else publish_time
         if not (0 <= log_time <= _LAST_TIME and 0 <= publish <= _LAST_TIME):
             what = f"{topic}: time {log_time} ns, published {publish} ns, is out of range"
             raise BagError(self.path, what)
-        try:  # a context manager would take as long as the rest
+        try:  # a context manager would take as long as the write
             self._split_if_due(log_time)
-            plain = bytes(data) if isinstance(data, np.ndarray) else data  # a row may have gaps
+            plain = bytes(data) if isinstance(data, np.ndarray) else data  # a row of an array may have gaps
             self._file.add(stream, log_time, publish, plain)
             self._file.close_old_chunk(time.monotonic(), self._flush_period)
         except (BagError, OSError) as exc:
@@ -197,15 +196,15 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         qos: Qos | None = None,
         known: Definition | None = None,
     ) -> None:
-        """Append a few messages of one topic as `write` does, with their common work done once.
+        """Append a few messages of one topic as `write` does, but do their common work once.
 
-        If one of the times cannot be written, none of the messages is.
+        If one of the times is out of range, no message is written.
         """
         stream = self._stream(topic, type_name, qos, known)
         if rows and not 0 <= min(log_times) <= max(log_times) <= _LAST_TIME:
             what = f"{topic}: times from {min(log_times)} to {max(log_times)} ns are out of range"
             raise BagError(self.path, what)
-        if self._max_size or self._max_duration:  # each may begin a file
+        if self._max_size or self._max_duration:  # each message may begin a file
             for data, log_time in zip(rows, log_times, strict=True):
                 self.write(topic, type_name, data, log_time)
             return
@@ -216,7 +215,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             raise self._failure(exc) from exc
 
     def _stream(self, topic: str, type_name: str, qos: Qos | None, known: Definition | None) -> Stream:
-        """The topic's stream, declared where it is new; BagError where nothing can be written any more."""
+        """The topic's stream, declared if it is new; BagError if the writer is closed or failed."""
         if self.error is not None or self._closed or (topic, type_name) not in self._streams:
             self.add_topic(topic, type_name, qos, known)
         return self._streams[topic, type_name]
@@ -229,7 +228,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         log_times: npt.ArrayLike,
         publish_times: npt.ArrayLike | None = None,
     ) -> None:
-        """Append n messages of one topic, as `write`; fast where they are an array of shape (n, size)."""
+        """Append n messages of one topic, as `write`; fast for an array of shape (n, size)."""
         stream = self._stream(topic, type_name, None, None)
         times = np.asarray(log_times, np.int64)
         published = times if publish_times is None else np.asarray(publish_times, np.int64)
@@ -251,7 +250,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     def flush_if_due(self, now: float | None = None) -> bool:
         """Hand messages older than the flush period to the operating system; call it from a timer.
 
-        `now` is ``time.monotonic()`` [s]; gives whether something was written. Raises BagError where that
+        `now` is ``time.monotonic()`` [s]. Returns whether a chunk was closed. Raises BagError if writing
         fails, but not again for an error that was raised before.
         """
         if self.error is not None or self._closed:
@@ -264,14 +263,14 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         return is_due
 
     def flush(self) -> None:
-        """Hand every message to the operating system now; raises BagError where that fails."""
+        """Hand every message to the operating system now; raises BagError if that fails."""
         self._check_open()
         with self._guarded():
             self._file.close_chunk()
             self._file.wait()
 
     def resume(self) -> None:
-        """Finish the file if possible and go on in a new one; BagError if that is impossible too."""
+        """Finish the file if possible and continue in a new one; BagError if no new file can be made."""
         before = self._file
         with suppress(BagError):
             if self.error is None:
@@ -289,8 +288,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     def close(self, *, whole: bool = True) -> None:
         """Finish the bag; if not `whole`, leave it without its end, so that every reader notices.
 
-        Raises BagError where the end cannot be written; what was written before stays recoverable. A second
-        call, or one after an error, does nothing that can raise.
+        Raises BagError if the end cannot be written; messages written before stay recoverable. A second call,
+        or a call after an error, does not raise.
         """
         if self._closed:
             return
@@ -331,7 +330,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             raise self._failure(exc) from exc
 
     def _failure(self, exc: BagError | OSError) -> BagError:
-        """The error as BagError; it ends the writing."""
+        """The error as BagError; stores it, which ends the writing."""
         if not isinstance(exc, BagError):
             path = exc.filename or (self.paths or [self.path])[-1]
             exc = taken(Path(path)) if isinstance(exc, FileExistsError) else BagError(path, exc)
@@ -341,12 +340,12 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         return exc
 
     def _split_if_due(self, log_time: int) -> None:
-        """Begin the next file where it is time."""
+        """Begin the next file if the open one has reached a limit."""
         if self.has_reached(self._max_size, self._max_duration, log_time):
             self.split()
 
     def _until_split(self, times: Times, first: int) -> int:
-        """End of the messages, from `first` on, that go into the open file."""
+        """Index after the last message, from `first` on, that goes into the open file."""
         if not self._max_duration:
             return len(times)
         start = int(times[first]) if self._file.start is None else self._file.start
@@ -354,11 +353,11 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         return first + int(late[0]) if len(late) else len(times)
 
     def _reached(self, stream: Stream) -> int:
-        """Messages of a topic that have reached a file."""
+        """Number of a topic's messages that have reached a file."""
         return written(self._files, stream) + self._taken_away[stream.channel.id]
 
     def _begin(self, number: int) -> None:
-        """Open a file and name it in the metadata, so that a crash leaves it findable."""
+        """Open a file and list it in the metadata, so that it is found after a crash."""
         size = min(self._chunk_size, self._max_size or self._chunk_size)
         file = McapFile(self._place.name(number), self._compression, size, self._overwrite)
         self._files.append(file.written)
@@ -372,7 +371,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._file, self._number = file, number
 
     def _finish(self) -> None:
-        """Write the end of the file after its last message."""
+        """Write the end of the file after its last message, and the metadata."""
         self._file.stop()
         found = metadata(self._files, self._streams.values())
         if not self._file.is_whole:

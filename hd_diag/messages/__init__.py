@@ -1,1 +1,1 @@
-"""ROS 2 messages as bytes, without ROS: what is published, what is read, many rows at once."""
+"""ROS 2 messages as bytes, without ROS: encodes and decodes many messages at once."""

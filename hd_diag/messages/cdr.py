@@ -1,4 +1,4 @@
-"""Where things are in a CDR message, by the definition of its type."""
+"""Places of fields in a CDR message, from the definition of its type."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _SIZES = {name: int(code[1]) for name, code in DTYPES.items()}
 
 
 class Walk:
-    """Reads a CDR message; places count from its first byte, alignment from the end of its header.
+    """Walks through a CDR message; places count from its first byte, alignment from the end of its header.
 
-    All of it raises ValueError where the message is malformed. `fixed` holds begin and end of the bytes on
-    which places depend: lengths, and texts that identify elements.
+    All methods raise ValueError if the message is malformed. `fixed` holds begin and end of the bytes that
+    determine places: lengths, and texts that identify elements. `names` holds these texts.
     """
 
     def __init__(self, data: bytes, store: Typestore) -> None:
@@ -32,7 +32,7 @@ class Walk:
         self.names: list[str] = []
 
     def message(self, type_name: str, begin: int) -> tuple[dict[str, tuple[Any, int]], int]:
-        """Fields of a message with their descriptions and begins, and its end."""
+        """Description and begin of each field of a message, and the end of the message."""
         fields = {}
         for name, description in self._store.fielddefs[type_name][1]:
             fields[name] = description, begin
@@ -40,7 +40,7 @@ class Walk:
         return fields, begin
 
     def place(self, type_name: str, path: Path, begin: int = 4) -> tuple[int, str] | None:
-        """Place and type of the number at a path; None where no element has the name."""
+        """Place and type of the number at a path; None if no element has the name."""
         (field, index), rest = path[0], path[1:]
         fields, _ = self.message(type_name, begin)
         description, begin = fields[field]
@@ -65,7 +65,7 @@ class Walk:
         return aligned(begin, _SIZES[name]) + number * _SIZES[name], DTYPES[name]
 
     def _end(self, description: Any, begin: int) -> int:
-        """Where a field ends."""
+        """End of a field."""
         kind, what = description
         if kind == Nodetype.NAME:
             return self.message(what, begin)[1]
@@ -87,7 +87,7 @@ class Walk:
         return self._within(aligned(begin, size) + count * size) if count else begin
 
     def elements(self, description: Any, begin: int) -> tuple[Any, int, int]:
-        """What the elements of an array are, how many, and where they begin."""
+        """Description, number and begin of the elements of an array."""
         element, count = description[1]
         if description[0] == Nodetype.SEQUENCE:
             count, begin = self._count(begin)
@@ -100,7 +100,7 @@ class Walk:
         return int(self._uint32(self.data, begin)[0]), end
 
     def text(self, begin: int) -> tuple[int, int]:
-        """Where the characters of a text begin and end."""
+        """Begin and end of the characters of a text."""
         size, begin = self._count(begin)
         return begin, self._within(begin + size)
 
@@ -119,7 +119,7 @@ class Walk:
     def _named(
         self, name: str, fields: Mapping[str, tuple[Any, int]], element: Any, count: int, begin: int
     ) -> int | None:
-        """Number of the element with a name: in texts beside the array, or one of its own."""
+        """Index of the element with a name, from texts beside the array or the elements' own; else None."""
         for description, at in fields.values():
             if holds_texts(description):
                 _, texts, at = self.elements(description, at)
@@ -136,12 +136,12 @@ class Walk:
 
 
 def aligned(place: int, size: int) -> int:
-    """The next place for a number of a size, by alignment."""
+    """The next place that is aligned for a number of a size [byte]."""
     return (place - 4 + size - 1) // size * size + 4
 
 
 def by_size(payload: Bytes | Sequence[bytes | memoryview]) -> Iterator[tuple[Bytes, Integers]]:
-    """Messages of each size, shape (n, size), with their positions."""
+    """Messages grouped by size, shape (n, size), with their positions."""
     if isinstance(payload, np.ndarray):
         yield payload, np.arange(len(payload))
         return
@@ -154,5 +154,5 @@ def by_size(payload: Bytes | Sequence[bytes | memoryview]) -> Iterator[tuple[Byt
 
 
 def bad_stamp(nano: int) -> str:
-    """What is wrong with a stamp of so many nanoseconds."""
+    """Text on a stamp with too many nanoseconds."""
     return f"has a stamp with {nano} nanoseconds, 1e9 or more"

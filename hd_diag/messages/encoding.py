@@ -1,4 +1,4 @@
-"""Columns as CDR messages of constant size, byte for byte as ROS 2 serializes them (little endian)."""
+"""Encodes columns as CDR messages of constant size, byte for byte like ROS 2 (little endian)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hd_diag.arrays import Bytes, Integers, Times
 from hd_diag.messages.joint_states import JointStateDecoder, decode_joint_states, kernel
 
 HEADER = b"\0\1\0\0"
-"""Of a CDR message, little endian."""
+"""Header of a little-endian CDR message."""
 
 _ARRAYS = ("position", "velocity", "effort")
 _NOTHING = np.empty((0, 0))
@@ -44,7 +44,7 @@ def encode_joint_states(
     Raises
     ------
     ValueError
-        Where shapes do not agree or a stamp does not fit into a ROS time.
+        If shapes do not agree or a stamp does not fit into a ROS time.
     """
     time = np.ascontiguousarray(stamps, np.int64).reshape(-1)
     shape, values, present = (time.size, len(names)), [_NOTHING] * 3, []
@@ -62,9 +62,9 @@ def encode_joint_states(
 
 
 def encode_headers(stamps: npt.ArrayLike, frame_id: str) -> Bytes:
-    """std_msgs/Header messages, shape (n, size): times [ns] (n,) and what they belong to.
+    """std_msgs/Header messages, shape (n, size), with stamps [ns] (n,) and a frame.
 
-    Raises ValueError where a stamp does not fit into a ROS time.
+    Raises ValueError if a stamp does not fit into a ROS time.
     """
     time = np.asarray(stamps, np.int64)
     parts = np.stack(np.divmod(time, 1_000_000_000), axis=1)
@@ -81,10 +81,10 @@ def _beyond(time: Times) -> ValueError:
 
 
 def warm_up() -> None:
-    """Compile now, or read from the disk, what writes and reads JointState messages."""
+    """Compile now, or load from the disk, the code that writes and reads JointState messages."""
     rows = encode_joint_states(["a"], [0], [[0.0]])
     decode_joint_states(rows)
-    JointStateDecoder().decode(rows[0].tobytes())  # bytes that nobody may write: other machine code
+    JointStateDecoder().decode(rows[0].tobytes())  # read-only bytes need their own machine code
 
 
 def encode_float64_multiarray(dims: Sequence[tuple[str, int]], data: npt.ArrayLike) -> Bytes:
@@ -100,7 +100,7 @@ def encode_float64_multiarray(dims: Sequence[tuple[str, int]], data: npt.ArrayLi
     Raises
     ------
     ValueError
-        Where shapes do not agree.
+        If shapes do not agree.
     """
     values = np.ascontiguousarray(data, "<f8")
     if values.shape[1:] != tuple(size for _, size in dims):
@@ -117,7 +117,7 @@ def encode_float64_multiarray(dims: Sequence[tuple[str, int]], data: npt.ArrayLi
 def _joint_state(
     names: tuple[str, ...], frame_id: str, present: tuple[int, ...]
 ) -> tuple[npt.NDArray[np.int32], Integers]:
-    """Words of a message with zeros for stamp and values; places of the three arrays, 0 for an empty one."""
+    """4-byte words of a message with zero stamp and values; places of the three arrays, 0 if empty."""
     body, places = bytearray(8) + text(frame_id) + _UINT32.pack(len(names)), [0, 0, 0]
     body += b"".join(map(text, names))
     for number in range(3):
@@ -132,7 +132,7 @@ def _joint_state(
 
 @functools.lru_cache(maxsize=256)
 def _multiarray(dims: tuple[tuple[str, int], ...]) -> bytes:
-    """Message up to its values."""
+    """Bytes of a message before its values."""
     lengths = [size for _, size in dims]
     body = _UINT32.pack(len(dims))
     for i, (label, size) in enumerate(dims):
@@ -142,6 +142,6 @@ def _multiarray(dims: tuple[tuple[str, int], ...]) -> bytes:
 
 
 def text(value: str, alignment: int = 4) -> bytes:
-    """A string in a message, filled up to where a value of this alignment may follow."""
+    """A string in CDR, padded to an alignment [byte] for the next value."""
     data = value.encode() + b"\0"
     return _UINT32.pack(len(data)) + data + bytes(-len(data) % alignment)

@@ -1,8 +1,8 @@
 """Paths to numbers in messages, such as ``interface_values[joint_1].values[position]``.
 
-A path is names of fields with dots between. An array has an index: a number, or a name that stands at that
-place in an array of texts of the same message (``name`` beside ``position``), or that is the element's own
-``name``.
+A path consists of field names separated by dots. An array has an index, which is a number or a name. A name
+is looked up in an array of texts of the same message (``name`` beside ``position``), or among the elements'
+own ``name`` fields.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from hd_diag.streams.signals import Signal, nearest
 
 _STEP = re.compile(r"([A-Za-z]\w*)(?:\[([^\[\]]+)\])?(\.(?=.)|$)", re.ASCII)
 TEXT = (Nodetype.BASE, ("string", 0))
-"""A field with a text."""
+"""Description of a text field."""
 
 _TIME = "builtin_interfaces/msg/Time"
 _HEADER = "std_msgs/msg/Header"
@@ -26,11 +26,11 @@ DTYPES = {
     **{f"{kind}{8 * size}": f"{kind[0]}{size}" for kind in ("int", "uint") for size in (1, 2, 4, 8)},
     **{"float32": "f4", "float64": "f8", "bool": "u1", "byte": "u1", "char": "u1"},
 }
-"""numpy's names of the numbers that fields can be."""
+"""numpy's names of the number types of fields."""
 
 
 class PathStep(NamedTuple):
-    """A field, and which element of it where it is an array."""
+    """A field and, if it is an array, the index or name of an element."""
 
     field: str
     element: int | str | None = None
@@ -40,7 +40,7 @@ Path = tuple[PathStep, ...]
 
 
 def is_array(kind: Any) -> bool:
-    """Whether a field is an array of a fixed or any length."""
+    """Whether a field is an array of fixed or variable length."""
     return kind in (Nodetype.ARRAY, Nodetype.SEQUENCE)
 
 
@@ -51,7 +51,7 @@ def holds_texts(description: Any) -> bool:
 
 
 def parsed(text: str) -> Path:
-    """A path from its text; ValueError where it is none."""
+    """A path from its text; ValueError if the text is no path."""
     steps: list[PathStep] = []
     place = 0
     while place < len(text) or not steps:
@@ -65,12 +65,12 @@ def parsed(text: str) -> Path:
 
 
 def path_in(store: Typestore, type_name: str, signal: Signal) -> Path:
-    """Path to a signal's number in messages of a type; arrays without an index get the signal's name as one.
+    """Path to a signal's number in messages of a type; the signal's name is the index of arrays without one.
 
     Raises
     ------
     ValueError
-        Where there is none; it names the nearest field that there is.
+        If there is none; the message names the nearest field.
     """
     path: list[PathStep] = []
     owner, steps = type_name, parsed(signal.field)
@@ -94,7 +94,7 @@ def path_in(store: Typestore, type_name: str, signal: Signal) -> Path:
 
 
 def _element(store: Typestore, owner: str, step: PathStep, name: str) -> tuple[Any, int | str | None]:
-    """What a field is, or an element of it, and the index of that."""
+    """Description of a field, or of an element of an array, and the element's index."""
     field, index = step
     fields = dict(store.fielddefs[owner][1])
     what: Any
@@ -116,7 +116,7 @@ def _element(store: Typestore, owner: str, step: PathStep, name: str) -> tuple[A
 
 
 def stamp_path(store: Typestore, type_name: str) -> Path | None:
-    """Place of a message's time: in its header, or a time of its own; None without."""
+    """Path to a message's time, in its header or in a time field; None if it has no time."""
     for field, (kind, what) in store.fielddefs[type_name][1]:
         if kind == Nodetype.NAME and what in (_HEADER, _TIME):
             return (PathStep(field), *([PathStep("stamp")] if what == _HEADER else []))

@@ -1,7 +1,7 @@
-"""Numbers of messages of any type as columns.
+"""Decodes numbers in messages of any type as columns.
 
-CDR puts the same things at the same places in every message with the same lengths. Places are worked out once
-for each such layout, from one message; the others are compared with it in all bytes that matter.
+In CDR, messages with the same lengths have the same fields at the same places. The places of such a layout
+are worked out once, from one message; other messages are compared with it in all bytes that matter.
 """
 
 from __future__ import annotations
@@ -20,16 +20,17 @@ from hd_diag.messages.joint_states import Rejection
 from hd_diag.streams.columns import JointStates
 from hd_diag.streams.signals import Signal
 
-_REMEMBERED, _NAMES = 64, 256  # layouts, names
+_REMEMBERED, _NAMES = 64, 256  # most layouts, most names
 _FIRST = np.zeros(1, np.int64)
 _NANOSECONDS = 1_000_000_000
 _CODES = dict(zip(("i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f4", "f8"), "bhiqBHIQfd", strict=True))
 
 
 class _Layout(NamedTuple):
-    """Messages of one size: bytes (m,) equal to the template; places and types of numbers by key.
+    """Layout of messages of one size, which equal the `template` in the bytes at the places `fixed` (m,).
 
-    `known` are those bytes of the template; `unpack` and `time` read the numbers and the stamp's two.
+    `numbers` has places and types by key, `stamp` the places of seconds and nanoseconds. `known` are the
+    template's bytes at `fixed`. `unpack` and `time` read the numbers and the two parts of the stamp.
     """
 
     fixed: Integers
@@ -47,20 +48,20 @@ class FieldReader:
     Parameters
     ----------
     store : Typestore
-        In which the type is.
+        Store with the type.
     type_name : str
     signals : mapping of str to Signal
-        By the keys that their columns get.
+        Signals by the keys of their columns.
 
     Raises
     ------
     ValueError
-        Where the type has no number at a signal's path; it names the nearest field.
+        If the type has no number at a signal's path; the message names the nearest field.
 
     Attributes
     ----------
     names : list of str
-        Among which an element was looked for by its name, in the last messages of another layout.
+        Names that were compared to find elements by name, in the last message of a new layout.
     """
 
     def __init__(self, store: Typestore, type_name: str, signals: Mapping[str, Signal]) -> None:
@@ -114,7 +115,7 @@ class FieldReader:
     def _by_layout(
         self, rows: Bytes, index: Integers, rejected: list[Rejection]
     ) -> Iterator[tuple[_Layout, Integers]]:
-        """Layouts of messages of one size, with their positions among these."""
+        """Yield layouts of messages of one size with their rows; malformed messages go to `rejected`."""
         left, known = np.arange(len(rows)), iter([*self._layouts.get(rows.shape[1], ())])
         while left.size:
             try:
@@ -178,5 +179,5 @@ class FieldReader:
 
 
 def _column(rows: Bytes, place: int, dtype: str) -> Any:
-    """Numbers at a place of messages, shape (n,)."""
+    """Numbers at one place of all messages, shape (n,)."""
     return np.ascontiguousarray(rows[:, place : place + int(dtype[2])]).view(dtype)[:, 0]

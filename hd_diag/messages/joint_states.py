@@ -1,7 +1,7 @@
 """JointState messages as columns: many messages of one shape at once, one message in microseconds.
 
-CDR puts the same things at the same places in every message that has the same names and array lengths. Such
-a layout is worked out once from one message; the others are compared with it in all bytes but stamps and
+In CDR, messages with the same names and array lengths have the same fields at the same places. Such a layout
+is worked out once, from one message; other messages are compared with it in all bytes except for stamps and
 values.
 """
 
@@ -23,11 +23,11 @@ from hd_diag.messages.schemas import jazzy
 from hd_diag.streams.columns import BLOCKS, JointStates
 from hd_diag.streams.signals import Signal
 
-# Number of layouts per decoder that are remembered; one topic rarely has more than one or two.
+# Most layouts that a decoder keeps; one topic rarely has more than one or two.
 _REMEMBERED = 64
 # A batch with more layouts than this is decoded message by message.
 _MAX_LAYOUTS = 16
-_FRAME = 12  # place of the frame's name, behind the stamp
+_FRAME = 12  # place of the frame's name, after the stamp
 _FIRST = np.zeros(1, np.int64)
 
 
@@ -39,10 +39,10 @@ class Rejection(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """Where things are in messages of one shape: byte order ('<' or '>'), names, frame, and places [byte].
+    """Layout of messages of one shape: byte order ('<' or '>'), names, frame, and places [byte].
 
-    `lengths` are those of position, velocity and effort, `places` where those begin that are not empty;
-    `fixed` (m, 2) are the ranges that are the same in all messages as in the `template`.
+    `lengths` are those of position, velocity and effort, `places` the begins of those that are not empty.
+    `fixed` (m, 2) are the byte ranges in which all messages equal the `template`.
     """
 
     order: str
@@ -60,12 +60,12 @@ def layout_of(data: bytes) -> Layout:
     Raises
     ------
     ValueError
-        Where it is malformed; the message says how.
+        If it is malformed; the error's message says how.
     """
     walk = Walk(data, jazzy())
     if len(data) < 16:
         raise ValueError("is not a CDR message")
-    fields, _ = walk.message(JOINT_STATE, 4)  # what follows is padding, as of rclpy: readers ignore it
+    fields, _ = walk.message(JOINT_STATE, 4)  # readers ignore padding after it, as from rclpy
     frame_id, _ = _text(walk, _FRAME)
     _, count, begin = walk.elements(*fields["name"])
     names = []
@@ -92,7 +92,7 @@ def layout_of(data: bytes) -> Layout:
 
 
 def _text(walk: Walk, begin: int) -> tuple[str, int]:
-    """A text, and its end."""
+    """A text and its end."""
     begin, end = walk.text(begin)
     if begin < end and walk.data[end - 1]:
         raise ValueError("has a string without a terminator")
@@ -103,7 +103,7 @@ def _text(walk: Walk, begin: int) -> tuple[str, int]:
 
 
 class JointStateDecoder:
-    """Decoder that remembers the layouts it has seen; one per topic is best."""
+    """Decoder that keeps the layouts it has seen; one decoder per topic is best."""
 
     def __init__(self) -> None:
         self._layouts: dict[int, list[Layout]] = {}
@@ -139,7 +139,7 @@ class JointStateDecoder:
             try:
                 layout = layout_of(rows[0].tobytes())
             except ValueError as exc:
-                same = (rows == rows[0]).all(axis=1)  # a file of some kilobytes may hold millions
+                same = (rows == rows[0]).all(axis=1)  # a file of some kilobytes may hold millions of them
                 rejected += [Rejection(row, str(exc)) for row in index[same].tolist()]
                 rows, index = rows[~same], index[~same]
                 continue
@@ -155,17 +155,17 @@ class JointStateDecoder:
 
 
 class JointStateReader:
-    """Reads joint states of a topic, and signals that are mapped to them by other names or units.
+    """Reads joint states of a topic, and signals that are mapped to them with other names or units.
 
     Parameters
     ----------
     signals : mapping of str to Signal
-        By the keys that their columns get.
+        Signals by the keys of their columns.
 
     Raises
     ------
     ValueError
-        Where a signal's path is none of position, velocity or effort.
+        If a signal's path is not in position, velocity or effort.
     """
 
     def __init__(self, signals: Mapping[str, Signal]) -> None:
@@ -176,7 +176,7 @@ class JointStateReader:
     def columns(
         self, payload: Bytes | Sequence[bytes | memoryview], received: Times
     ) -> tuple[list[JointStates], list[Rejection]]:
-        """Columns of messages, as `decode_joint_states`, with stamps that are known."""
+        """Columns of messages, as `decode_joint_states`; reception times [ns] (n,) replace zero stamps."""
         found: list[JointStates] = []
         columns, rejected = self._decoder.columns(payload)
         for states in columns:
@@ -214,7 +214,7 @@ def _column_of(names: tuple[str, ...], name: str) -> int:
 
 
 def _place(signal: Signal) -> tuple[int, int | str]:
-    """Number of a signal's block, and its index there."""
+    """Index of a signal's block (position, velocity, effort), and the signal's index or name there."""
     (field, index), *more = path_in(jazzy(), JOINT_STATE, signal)
     if more or field not in JointStates._fields[4:7] or index is None:
         raise ValueError(f"{signal.field!a} of {JOINT_STATE} is not one of position, velocity, effort")
@@ -244,7 +244,7 @@ def decode_joint_states(
 def _take(
     layout: Layout, rows: Bytes, index: Times, columns: list[JointStates], rejected: list[Rejection]
 ) -> tuple[Bytes, Times]:
-    """Decode the messages that have a layout; gives the others with their positions."""
+    """Decode the messages that have a layout; returns the others with their positions."""
     count, widths = len(rows), np.array([*filter(None, layout.lengths)], np.int64)
     stamp, values = np.empty(count, np.int64), np.empty((count, sum(layout.lengths)))
     fate, rest = np.zeros(count, np.uint8), (rows[:0], index[:0])
@@ -272,7 +272,7 @@ def _first_row(states: JointStates) -> int:
 
 @functools.cache
 def kernel() -> ModuleType:
-    """What is compiled, imported when first needed."""
+    """The compiled module, imported when first needed."""
     from hd_diag.messages import kernel as compiled
 
     return compiled

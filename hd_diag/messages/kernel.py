@@ -1,4 +1,4 @@
-"""JointState messages of one layout compiled, columns to bytes and back; imported late, as numba is."""
+"""Compiled code for JointState messages of one layout, to bytes and back; imported late, like numba."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hd_diag.model.kernel.compiler import entry_point, part
 
 _NANOSECONDS = 1_000_000_000
 _LARGEST = 2**31  # seconds that do not fit into 32 bits
-_TOGETHER = 128  # messages: they stay in the processor's cache until all of them is written
+_TOGETHER = 128  # messages written together, so that they stay in the processor's cache
 READ, OTHER, BAD_STAMP = 0, 1, 2
 
 
@@ -23,9 +23,9 @@ def write(
     effort: Floats,
     places: Integers,
 ) -> bool:
-    """Fill messages of 4-byte words (n, size): stamps [ns] (n,) and values (n, k), which have places or 0.
+    """Fill messages of 4-byte words (n, size) from template, stamps [ns] (n,) and values (n, k).
 
-    False if a stamp has seconds beyond 32 bits.
+    `places` are those of the three arrays, 0 if absent. Returns False if a stamp's seconds exceed 32 bits.
     """
     for first in range(0, rows.shape[0], _TOGETHER):
         last = min(first + _TOGETHER, rows.shape[0])
@@ -62,10 +62,10 @@ def read(
     values: Floats,
     fate: Bytes,
 ) -> int:
-    """Stamps [ns] (n,) and values of messages (n, size), m arrays side by side; how many were not `READ`.
+    """Read stamps [ns] (n,) and values, m arrays side by side, of messages (n, size); count those not `READ`.
 
-    Messages that differ from the template in a fixed range (begin and end, (r, 2)) are of an `OTHER` layout;
-    of a `BAD_STAMP` the stamp is what stands for its nanoseconds.
+    Messages that differ from the template in a fixed range (begin and end, (r, 2)) have an `OTHER` layout.
+    For a `BAD_STAMP`, `stamp` holds the message's nanoseconds.
     """
     failed = 0
     for i in range(rows.shape[0]):

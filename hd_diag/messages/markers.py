@@ -1,4 +1,4 @@
-"""The gear drawn for RViz and Foxglove: a visualization_msgs/MarkerArray, seen from the circular spline."""
+"""Draws the gear for RViz and Foxglove: a visualization_msgs/MarkerArray in the circular spline's frame."""
 
 from __future__ import annotations
 
@@ -38,28 +38,28 @@ _VIRIDIS = np.array(
     ]
 )
 
-_FLANK_POINTS = 9  # heights at which a flank is drawn: its chords show clearances within 9 um
-_FACE_POINTS = 5  # of these, heights between which the faces are filled
-_BAND_POINTS = 3  # heights of a flank between which it is drawn along the width
+_FLANK_POINTS = 9  # heights of a drawn flank, whose chords show clearances within 9 um
+_FACE_POINTS = 5  # number of these heights between which faces are filled
+_BAND_POINTS = 3  # heights of a flank's bands along the width
 _CURVE_POINTS = 121
 _NANOSECONDS = 1_000_000_000
 
 _STEEL: Colour = (0.55, 0.57, 0.60, 1.0)
-_AMBER: Colour = (0.85, 0.60, 0.25, 1.0)  # seen on RViz's and Foxglove's dark ground, and on a white one
+_AMBER: Colour = (0.85, 0.60, 0.25, 1.0)  # visible on RViz's and Foxglove's dark ground, and on white
 _BLUE: Colour = (0.20, 0.45, 0.85, 1.0)
 _RED: Colour = (0.90, 0.15, 0.10, 1.0)
 
 Kind = Literal["line_strip", "line_list", "triangle_list", "text"]
-# Of visualization_msgs/Marker.
+# Type numbers of visualization_msgs/Marker.
 _TYPES: dict[Kind, int] = {"line_strip": 4, "line_list": 5, "text": 9, "triangle_list": 11}
 _ADD = 0
 
 
 @dataclass(frozen=True)
 class Shape:
-    """One marker: its namespace, kind, points (n, 3) [m] (of a text its place) and colour.
+    """One marker: its namespace, kind, points (n, 3) [m] (for a text its place) and colour.
 
-    Colours are red, green, blue and opacity [-]; `colours` (n, 4) those of the points, where they have some.
+    Colours are red, green, blue and opacity [-]; `colours` (n, 4) are those of single points, if any.
     `size` is the width of lines or height of letters [m].
     """
 
@@ -73,7 +73,7 @@ class Shape:
 
 
 class Exaggeration(NamedTuple):
-    """How much larger than true the deformation and the eccentricity are drawn [-]; 1 is true to scale."""
+    """Factors that enlarge the deformation and the eccentricity in the drawing [-]; 1 is true to scale."""
 
     deformation: float = 8.0
     eccentricity: float = 200.0
@@ -97,30 +97,30 @@ def drawing(
     ----------
     drive : Drive
     input_angle : float
-        As reported [rad].
+        Reported input angle [rad].
     load : ndarray, shape (sections, 2, Z_R)
         Forces on the flanks (+, -) of every tooth in each section [N].
     torsion : float
         beta, rotation of the cup under load [rad].
     full_scale : float
-        Force that has the last colour [N]; larger ones have it too.
+        Force drawn in the last colour [N]; larger forces have this colour too.
     exaggeration : Exaggeration
-        The deformation is exaggerated from the long axis, where the flexspline stays in its true place, so
-        that the teeth still stand in their slots there.
+        The deformation is exaggerated from the long axis. The flexspline stays in its true place there, so
+        the teeth still stand in their slots.
 
     Returns
     -------
     tuple of Shape
         ``circular_spline``, ``flexspline``, ``wave_generator`` (the neutral curve), ``long_axis``, ``teeth``
         (each flank coloured by its own load), ``eccentricity`` (from the axis to the displaced centre),
-        ``legend``. A drive in sections is drawn with its width, z towards the open end: the lines there and,
-        except for the flexspline's, at the cup's bottom too. The flanks are then bands, one a section, in
-        the section's place, coloured by its force over its share of the width.
+        ``legend``. A drive in sections is drawn with its width, z towards the open end. Lines are drawn there
+        and, except for the flexspline's, also at the cup's bottom. The flanks are then bands, one for each
+        section, in the section's place, coloured by its force over its share of the width.
 
     Raises
     ------
     ValueError
-        If the load does not belong to this many teeth.
+        If the load's shape does not fit the drive's sections and teeth.
     """
     geometry = drive.mesh.geometry
     if load.shape != (geometry.sections, 2, geometry.flexspline_teeth):
@@ -159,14 +159,14 @@ def drawing(
 
 
 def _edges(geometry: Geometry) -> Floats:
-    """Where the bands of the sections begin and end along the width [m], (sections + 1,); 0 without bands."""
+    """Edges of the sections' bands along the width [m], (sections + 1,); 0 for a single section."""
     if geometry.sections == 1:
         return np.zeros(2)
     return geometry.face_width * (np.append(0.0, np.cumsum(geometry.section_weights)) - 0.5)
 
 
 def _shares(geometry: Geometry) -> Floats:
-    """Of the sections in the width [-], shape (sections, 1, 1)."""
+    """Shares of the sections in the width [-], shape (sections, 1, 1)."""
     return geometry.section_weights[:, None, None]
 
 
@@ -180,10 +180,10 @@ def _legend(geometry: Geometry, exaggeration: Exaggeration, full_scale: float) -
 
 
 def _faces(teeth: Complexes, edges: Floats, share: Floats, below: float) -> Shape:
-    """Teeth filled at the open end, and their flanks along the width where it is drawn.
+    """Filled teeth at the open end and, for several sections, flanks along the width.
 
-    Outlines (sections, Z_R, points) and shares of the full scale (sections, 2, Z_R). The faces lie below the
-    lines [m]: in one plane they would flicker.
+    `teeth` are outlines (sections, Z_R, points), `share` has shares of the full scale (sections, 2, Z_R). The
+    faces lie `below` the lines [m], because they would flicker in one plane.
     """
     front = _face_order()
     points, colours = [_flat(teeth[-1][:, front], edges[-1] - below)], [_flank_colours(share[-1], front)]
@@ -197,9 +197,9 @@ def _faces(teeth: Complexes, edges: Floats, share: Floats, below: float) -> Shap
 
 
 def viridis(share: Floats) -> Floats:
-    """Colours of shares of the full scale.
+    """Colours for shares of the full scale.
 
-    Clipped to 0 ... 1, shape (...), they give red, green, blue and opacity 1, shape (..., 4).
+    `share`, shape (...), is clipped to 0 ... 1. Returns red, green, blue and opacity 1, shape (..., 4).
     """
     rgb = np.polynomial.polynomial.polyval(np.clip(share, 0.0, 1.0), _VIRIDIS)
     return np.concatenate((np.clip(np.moveaxis(rgb, 0, -1), 0.0, 1.0), np.ones((*share.shape, 1))), axis=-1)
@@ -239,7 +239,7 @@ def _tooth_outline(geometry: Geometry) -> Complexes:
 
 @functools.lru_cache(maxsize=16)
 def _slots(geometry: Geometry) -> Floats:
-    """The circular spline's teeth, closed, at both ends of the width where it is drawn, shape (n, 3) [m]."""
+    """Closed outline of the circular spline's teeth (n, 3) [m]; with sections, at both ends of the width."""
     datum = geometry.circular_spline_datum
     start = geometry.circular_spline_tip_radius - datum
     wall = datum + _flank(geometry.circular_spline_slot, start, geometry.slot_end)
@@ -254,13 +254,13 @@ def _slots(geometry: Geometry) -> Floats:
 def _flank(profile: DoubleArc | FlankChain, start: float, end: float) -> Complexes:
     """Counter-clockwise flank between two heights [m], x + iy."""
     heights = np.linspace(start, end, _FLANK_POINTS)
-    # Where a slot ends its half width is 0, and nan if rounding puts the height beyond.
+    # The half width is 0 at a slot's end, and nan if rounding puts the height beyond.
     width = np.nan_to_num([profile.half_width(x) for x in heights.tolist()])
     return np.asarray(heights + 1j * width)
 
 
 def _flank_colours(share: Floats, order: npt.NDArray[np.int64]) -> Floats:
-    """Colours of points of the outlines in an order, by shares (2, Z_R) of the full scale: (points, 4)."""
+    """Colours (points, 4) of points of the outlines in an order, from shares (2, Z_R) of the full scale."""
     clockwise, counter_clockwise = viridis(share[::-1])
     flanks = np.stack((clockwise, counter_clockwise), axis=1)
     side = (order >= _FLANK_POINTS).astype(np.int64)
@@ -268,7 +268,7 @@ def _flank_colours(share: Floats, order: npt.NDArray[np.int64]) -> Floats:
 
 
 def _band_order() -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Which points of an outline the triangles of a band take, and at which end: 0 the bottom's, 1."""
+    """Indices of outline points for a band's triangles, and the end of each: 0 towards the bottom, or 1."""
     height = np.linspace(0, _FLANK_POINTS - 1, _BAND_POINTS).astype(np.int64)
     along = np.append(height, height + _FLANK_POINTS)
     here, there = along[:-1], along[1:]
@@ -277,7 +277,7 @@ def _band_order() -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
 
 
 def _face_order() -> npt.NDArray[np.int64]:
-    """Which points of a tooth's outline its triangles take: two between one height and the next."""
+    """Indices of outline points for a tooth's triangles: two between one height and the next."""
     height = np.linspace(0, _FLANK_POINTS - 1, _FACE_POINTS).astype(np.int64)
     low, high = height[:-1], height[1:]
     far = 2 * _FLANK_POINTS - 1
@@ -291,7 +291,7 @@ def _arrow(tip: complex) -> Floats:
 
 
 def _flat(points: Complexes, z: float | Floats = 0.0) -> Floats:
-    """Points at heights z: one, or that of each row; shape (n, 3)."""
+    """Points (n, 3) at a common height z, or at one height for each row."""
     rows = np.broadcast_to(np.reshape(z, (-1,) + (1,) * (points.ndim - 1)), points.shape)
     return _placed(points, rows)
 
@@ -323,7 +323,7 @@ def marker_array(shapes: Sequence[Shape], stamp: int, frame_id: str) -> bytes:
 
 
 def _scale(shape: Shape) -> tuple[float, float, float]:
-    """What RViz asks of each kind: width in x, height of letters in z, triangles in all three."""
+    """Scale that RViz expects: width of lines in x, height of letters in z, 1 in all three for triangles."""
     if shape.kind == "triangle_list":
         return (1.0, 1.0, 1.0)
     return (0.0, 0.0, shape.size) if shape.kind == "text" else (shape.size, 0.0, 0.0)

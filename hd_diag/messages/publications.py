@@ -31,22 +31,22 @@ STRING = "std_msgs/msg/String"
 PARAMETER_EVENT = "rcl_interfaces/msg/ParameterEvent"
 
 INPUT = "joint_states"
-"""Topic that a node listens to, by its name in the node's namespace."""
+"""Topic that a node subscribes to, relative to the node's namespace."""
 
 OWN_OUTPUTS = ("/transmission_error", "/measured_transmission_error", "/residual")
-"""Ends of the node's own JointState topics: no joint's states."""
+"""Ends of the names of the node's own JointState topics, which hold no joint's states."""
 
 _NANOSECONDS = 1_000_000_000
 
 _REPEATED = 4096
-"""Texts of diagnostics that are remembered: a joint has 130."""
+"""Number of cached texts of diagnostics; a joint has 130."""
 
 LAST_TIME = 2**31 * _NANOSECONDS - 1
 """Last time that a builtin_interfaces/Time can hold: January 2038 [ns]."""
 
 
 class Encoded(NamedTuple):
-    """Messages of a topic: name as the monitor gives it, type, time of the cause [ns] (n,), CDR of all n."""
+    """n messages of a topic: the monitor's name of the topic, type, time of the cause [ns] (n,), CDR."""
 
     topic: str
     type_name: str
@@ -55,7 +55,7 @@ class Encoded(NamedTuple):
 
 
 def encode(publication: Publication, node: str = "/hd_diag") -> Encoded:
-    """CDR of what a monitor publishes; diagnostics hold the full name of the node."""
+    """CDR of a monitor's publication; diagnostics hold the full name of the node."""
     if isinstance(publication, Report):
         received, rows = np.array([publication.received]), [_diagnostics(publication, node)]
         return Encoded(publication.topic, DIAGNOSTICS, received, rows)
@@ -86,7 +86,7 @@ def published_topics(joints: Sequence[str]) -> dict[str, str]:
 
 
 def temperature_topic(joint: str) -> str:
-    """Topic of a joint's temperature, by its name in the node's namespace."""
+    """Topic of a joint's temperature, relative to the node's namespace."""
     return f"{joint}/temperature"
 
 
@@ -106,7 +106,7 @@ def read_string(data: bytes) -> str:
 
 
 def read_temperature(data: bytes) -> float:
-    """Temperature of a sensor_msgs/Temperature in CDR [degree Celsius]; ValueError for one that cannot be."""
+    """Temperature of a sensor_msgs/Temperature in CDR [degree Celsius]; ValueError if it is impossible."""
     try:
         value = float(deserialize(jazzy(), data, TEMPERATURE).temperature)
     except ValueError as error:
@@ -119,7 +119,7 @@ def read_temperature(data: bytes) -> float:
 def parameter_event(node: str, stamp: int, values: Mapping[str, Any], new: bool) -> bytes:
     """CDR of an rcl_interfaces/ParameterEvent of a node (full name) at a time [ns].
 
-    Values by full parameter names; `new` where they are declared rather than changed.
+    `values` are by full parameter names; `new` means that they are declared rather than changed.
     """
     parameters = [_parameter(name, value) for name, value in values.items()]
     declared, changed = (parameters, []) if new else ([], parameters)
@@ -132,7 +132,7 @@ def _time(stamp: int) -> Any:
 
 
 def _markers(drawings: Drawings) -> list[bytes]:
-    """The gears, each in a frame with the name of its joint."""
+    """Drawings of the gear, each in a frame with the name of its joint."""
     columns = zip(drawings.stamp, drawings.input_angle, drawings.load, drawings.torsion, strict=True)
     messages = []
     for stamp, angle, load, torsion in columns:
@@ -143,7 +143,7 @@ def _markers(drawings: Drawings) -> list[bytes]:
 
 
 def _diagnostics(report: Report, node: str) -> bytes:
-    """The hardware is the node's joint, named as its topics begin: other nodes may have one of that name."""
+    """CDR of a report. The hardware is node and joint, because other nodes may have a joint of that name."""
     body = bytearray(struct.pack("<iI", *divmod(report.stamp, _NANOSECONDS)) + text(""))
     body += _count(report.statuses)
     for status in report.statuses:
@@ -161,7 +161,7 @@ def _count(values: Sized) -> bytes:
     return struct.pack("<I", len(values))
 
 
-_told = functools.lru_cache(_REPEATED)(text)  # most of a report is as in the one before
+_told = functools.lru_cache(_REPEATED)(text)  # cached, because most texts repeat the report before
 
 
 def _parameter(name: str, value: Any) -> Any:

@@ -10,16 +10,16 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 MAX_READ = 32 << 20
-"""Longest message of a database that is read where it is to be understood [byte]."""
-_TOO_LONG = b"\xfftoo long"  # no CDR begins so
+"""Longest message that is read from a database for decoding [byte]."""
+_TOO_LONG = b"\xfftoo long"  # no CDR message begins like this
 
 
 @dataclass(frozen=True)
 class Definition:
-    """Definition of a message type and of those that it uses, as a bag carries it.
+    """Definition of a message type and of the types that it uses, as a bag carries it.
 
-    The encoding is ``ros2msg`` or ``ros2idl``; the RIHS01 hash is empty where it is not known. Messages that
-    can only be copied have another encoding than ``cdr``.
+    `encoding` is ``ros2msg`` or ``ros2idl``. The RIHS01 hash is empty if it is not known. `messages` is the
+    encoding of the messages; if it is not ``cdr``, they can only be copied.
     """
 
     type_name: str
@@ -31,7 +31,7 @@ class Definition:
 
 @functools.cache
 def jazzy() -> Typestore:
-    """The message types of ROS 2 Jazzy; shared, not to be added to."""
+    """The message types of ROS 2 Jazzy; the store is shared, so add nothing to it."""
     return get_typestore(Stores.ROS2_JAZZY)
 
 
@@ -42,7 +42,7 @@ def definition(type_name: str) -> Definition:
     Raises
     ------
     KeyError
-        Where ROS 2 Jazzy has no such type.
+        If ROS 2 Jazzy has no such type.
     """
     store = jazzy()
     if type_name not in store.fielddefs:
@@ -57,12 +57,12 @@ def serialize(message: Any, type_name: str) -> bytes:
 
 
 def too_long(size: int) -> bytes:
-    """Stand-in for a message of so many bytes that was not read because it could fill the memory."""
+    """Stand-in for a message of `size` bytes that was not read, because it could fill the memory."""
     return _TOO_LONG + size.to_bytes(8, "little")
 
 
 def check_begin(data: bytes | memoryview) -> None:
-    """Raise ValueError where a message cannot be CDR, or was too long to be read."""
+    """Raise ValueError if a message cannot be CDR, or was too long to be read."""
     if len(data) == len(_TOO_LONG) + 8 and data[: len(_TOO_LONG)] == _TOO_LONG:
         size = int.from_bytes(data[len(_TOO_LONG) :], "little")
         raise ValueError(f"has {size} bytes, more than the {MAX_READ} that are read of a message")
@@ -71,12 +71,12 @@ def check_begin(data: bytes | memoryview) -> None:
 
 
 def deserialize(store: Typestore, data: bytes | memoryview, type_name: str) -> Any:
-    """Message object from CDR; bytes behind its last field are ignored, as DDS does.
+    """Message object from CDR; bytes after its last field are ignored, as DDS does.
 
     Raises
     ------
     ValueError
-        Where the message is malformed.
+        If the message is malformed.
     """
     check_begin(data)
     known = store.get_msgdef(type_name)

@@ -1,1 +1,1 @@
-"""What bags and tables hold of joints: the topics of their signals, and their records for a diagnosis."""
+"""Joints in bags and tables: topics of their signals, and their records for a diagnosis."""

@@ -1,4 +1,4 @@
-"""What a bag holds that a joint could need: numbers in messages, and which are the two ends of a gear."""
+"""Numbers in a bag's messages that a joint could use, and pairs of angles at the two ends of a gear."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from hd_diag.messages.schemas import deserialize
 from hd_diag.streams.rules import CLOCK_JUMP, PAIRING_GAP
 from hd_diag.streams.signals import Signal, Unit, unit
 
-_MOST_MESSAGES = 50_000  # of a topic that are looked at: its first minute at 1 kHz
-_MOST_ALONE = 64  # topics that are read one by one where all at once cannot be
-_MOST_ELEMENTS, _MOST_NUMBERS = 64, 500  # of an array, of a message
+_MOST_MESSAGES = 50_000  # messages examined per topic: its first minute at 1 kHz
+_MOST_ALONE = 64  # most topics read one by one after a common pass failed
+_MOST_ELEMENTS, _MOST_NUMBERS = 64, 500  # most elements of an array, most numbers of a message
 _SKIPPED = ("std_msgs/msg/Header", "builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 _PLAIN = re.compile(r"[^\[\]{}\x00-\x1f\x7f]+")
-# What a number is, by the words for it in the names of its fields; the first that fits.
+# Kind of a number by words in the names of its fields; the first match counts.
 _KINDS = {
     "temperature": r"temp",
     "current": r"(?<!by.)(?<!from.)current(?!.?torque)|ampere|(?<![a-z])amps?(?![a-z])",
@@ -41,25 +41,25 @@ _KINDS = {
 _COMMANDED = re.compile(r"command|desired|target|set_?point|reference|goal|error|(?<![a-z])ipo|_d(?![a-z])")
 _COMPUTED = re.compile(r"model|predict|simulat|expected|feed_?forward", re.IGNORECASE)
 _USUAL = {"temperature": "degC", "current": "A", "torque": "N m", "velocity": "rad/s", "angle": "rad"}
-_RATIOS = 28.0, 400.0  # of a harmonic drive
-_SAME_SIDE = 0.02  # allowed difference from 1 of the slope of two angles at one side
-_FIT = 0.02  # what one angle may leave of the other
+_RATIOS = 28.0, 400.0  # range for a harmonic drive
+_SAME_SIDE = 0.02  # allowed difference from slope 1 of two angles at the same side
+_FIT = 0.02  # largest residual of one angle fitted to another, relative to its deviation
 _POINTS = 2000
-_MOST_TRIED = 4000  # messages that are looked at for names
-_ALIKE, _EVERY = 3, 50  # of one size in a batch: the first ones, and one of so many
+_MOST_TRIED = 4000  # most messages examined for names
+_ALIKE, _EVERY = 3, 50  # messages of one size examined in a batch: the first, then each n-th
 _INTERFACE = re.compile(r"/(position|velocity|effort|torque|current|acceleration|temperature)$")
-_PLACE = re.compile(r"\.[xyzw]$")  # of a point or a quaternion: no joint's
+_PLACE = re.compile(r"\.[xyzw]$")  # component of a point or a quaternion, not a joint's angle
 _DEGREES, _TURN = 360.0, 2.0 * np.pi
 _Part = tuple[Times, Times, Floats]  # stamps, times of reception [ns], values
-_COUNTS, _MANY_COUNTS = "counts/?", 1000.0  # whole numbers over so many are no angle in rad or deg
+_COUNTS, _MANY_COUNTS = "counts/?", 1000.0  # whole numbers over a larger range are not in rad or deg
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class NumericField:
     """A number in the messages of a topic: kind (one of `_KINDS` or empty), guessed unit, time [s], values.
 
-    Its tag is its index or name in an array, the same for all numbers of a joint. If its stamps stay the
-    same, its times are those of reception.
+    `tag` is the number's index or name in an array, the same for all numbers of a joint. If all stamps are
+    the same, `time` is that of reception.
     """
 
     topic: Topic
@@ -73,22 +73,22 @@ class NumericField:
 
     @property
     def moves(self) -> bool:
-        """Whether it is not the same all the time."""
+        """Whether the value changes."""
         return bool(np.ptp(self.values) > 0.0)
 
     @property
     def is_called_so(self) -> bool:
-        """Whether its name says what kind it is; a column of a table need not."""
+        """Whether the name states the kind; a table column's name need not."""
         return re.search(_KINDS.get(self.kind, ""), self.field.lower()) is not None
 
     @property
     def known(self) -> bool:
-        """Whether it has any value."""
+        """Whether any value is finite."""
         return bool(np.isfinite(self.values).any())
 
 
 class AnglePair(NamedTuple):
-    """Angles of one joint: input, output, and the slope of the first over the second in rad, or counts."""
+    """Angles of one joint: input, output, and the slope of input over output, each in rad or counts."""
 
     input: NumericField
     output: NumericField
@@ -106,7 +106,7 @@ class AnglePair(NamedTuple):
 
 
 class Contents(NamedTuple):
-    """What a topic holds: numbers; what cannot be read; stamps [s] of its messages by the joints in them."""
+    """Contents of a topic: numbers; text on problems; stamps [s] of its messages by the joints in them."""
 
     numbers: list[NumericField]
     problem: str
@@ -114,10 +114,10 @@ class Contents(NamedTuple):
 
 
 def contents(reader: BagReader, topics: Sequence[Topic]) -> list[Contents]:
-    """What each of the topics holds that may be a joint's, of all its publishers, by two passes over the bag.
+    """Contents of each topic that may belong to a joint, from all its publishers, in two passes over the bag.
 
-    A topic of unknown type has that as its problem. If a pass fails because part of the bag is damaged or
-    cannot be sorted, a few topics are read one by one: some may be whole.
+    An unknown type is noted as the topic's problem. If a pass fails because part of the bag is damaged or
+    cannot be sorted, at most `_MOST_ALONE` topics are read one by one, as some may be whole.
     """
     found = [_Found(reader, topic) for topic in topics]
     try:
@@ -131,7 +131,7 @@ def contents(reader: BagReader, topics: Sequence[Topic]) -> list[Contents]:
 
 
 def _pass(reader: BagReader, found: Sequence[_Found], step: Callable[[_Found, Batch], None]) -> None:
-    """Hand each topic its messages, up to :data:`_MOST_MESSAGES` and what comes with the last."""
+    """Pass each topic its batches until it has at least :data:`_MOST_MESSAGES` messages."""
     wanted, seen = {id(each.topic): each for each in found if each.is_read}, Counter[int]()
     for batch in (
         reader.batches({each.topic.name for each in wanted.values()}, grouped=True) if wanted else ()
@@ -143,9 +143,9 @@ def _pass(reader: BagReader, found: Sequence[_Found], step: Callable[[_Found, Ba
 
 
 class _Found:
-    """What is found of a topic: first the paths of its numbers, then these as columns.
+    """Collects the contents of a topic: first the paths of its numbers, then the numbers as columns.
 
-    `problem` is an error that ended it.
+    `problem` is the error that ended the collection.
     """
 
     def __init__(self, reader: BagReader, topic: Topic) -> None:
@@ -165,11 +165,11 @@ class _Found:
 
     @property
     def is_read(self) -> bool:
-        """Whether its messages are looked at."""
+        """Whether the topic's messages are read."""
         return not self._is_own and self.topic.count > 0 and not self.problem
 
     def take(self, step: Callable[[_Found, Batch], None], batch: Batch) -> None:
-        """Do a step with messages; what is wrong with them ends this topic alone."""
+        """Run a step on a batch; an error ends only this topic."""
         try:
             if not self.problem:
                 step(self, batch)
@@ -177,7 +177,7 @@ class _Found:
             self.problem = str(error)
 
     def learn(self, batch: Batch) -> None:
-        """Add the paths of numbers with their types, of all kinds of messages that can be read."""
+        """Add paths and types of the numbers in messages that may hold new names."""
         for data in (
             _unlike(batch) if self._tried < _MOST_TRIED and len(self._fields) <= _MOST_NUMBERS else ()
         ):
@@ -191,7 +191,7 @@ class _Found:
                 break
 
     def add(self, batch: Batch) -> None:
-        """Add the numbers of messages."""
+        """Add the numbers of a batch."""
         if not 0 < len(self._fields) <= _MOST_NUMBERS:
             return
         if self._source is None:
@@ -228,7 +228,7 @@ class _Found:
 
 
 def _problem(seen: int, unstamped: int, refused: list[Rejection], every: list[NumericField]) -> str:
-    """What cannot be read of so many messages, and what is wrong with their stamps."""
+    """Text on messages, of `seen`, that cannot be read, and on bad stamps; empty if there are none."""
     said = []
     if refused:
         said.append(f"{len(refused)} of {seen} messages cannot be read; the last {refused[-1].reason}")
@@ -240,7 +240,7 @@ def _problem(seen: int, unstamped: int, refused: list[Rejection], every: list[Nu
 
 
 def pairs(angles: list[NumericField]) -> list[AnglePair]:
-    """Inputs with their outputs: they turn in proportion, by a gear's ratio or as two encoders of a side."""
+    """Best input for each output: they turn in proportion, by a gear's ratio or as two encoders of a side."""
     usable = [
         n
         for n in angles
@@ -260,9 +260,9 @@ def pairs(angles: list[NumericField]) -> list[AnglePair]:
 
 
 def beside(every: list[NumericField], output: NumericField, *kinds: str) -> NumericField | None:
-    """A number of the same joint and of the first kind that there is, if possible in the same topic.
+    """The best number of the output's joint with one of the kinds; None if there is none.
 
-    Numbers of a model come last.
+    The order of preference: changing values, not computed by a model, the same topic, an earlier kind.
     """
     own = [n for n in every if n.tag == output.tag and n.kind in kinds and not _COMMANDED.search(n.field)]
     own = [n for n in own if n.known and (n.topic is output.topic or not n.tag.isdecimal())]
@@ -275,7 +275,7 @@ def _distance(number: NumericField, output: NumericField, kinds: Sequence[str]) 
 
 
 def _unlike(batch: Any) -> Iterator[bytes]:
-    """Messages of a batch that may hold other names than those before: of each size the first, and more."""
+    """Messages of a batch that may hold new names: of each size the first few, then each `_EVERY`-th."""
     sizes: Counter[int] = Counter()
     for data in batch.messages():
         sizes[len(data)] += 1
@@ -302,7 +302,7 @@ def _leaves(store: Typestore, type_name: str, message: Any, prefix: str = "") ->
 
 
 def _labels(store: Typestore, element: Any, value: Any, texts: list[list[str]]) -> list[str]:
-    """What elements of an array are called: by the texts beside it, their own names, or their numbers."""
+    """Labels of an array's elements: from the texts beside the array, their own names, or their indices."""
     own = dict(store.fielddefs[element[1]][1]) if element[0] == Nodetype.NAME else {}
     candidates = [names for names in texts if len(names) == len(value)]
     if own.get("name") == TEXT:
@@ -333,7 +333,7 @@ def field_of(
     values: Floats,
     unit_name: str = "",
 ) -> NumericField:
-    """A number by the words for it, in a unit that is given or guessed; nan where it has no value at all."""
+    """A number whose kind follows from `words`, in a given or guessed unit; nan if no value is finite."""
     kind = next((kind for kind, known in _KINDS.items() if re.search(known, words.lower())), "")
     if kind == "angle" and _PLACE.search(words):
         kind = ""
@@ -353,14 +353,14 @@ def _tag(path: str) -> str:
 
 
 def _rising(stamp: Times) -> Times:
-    """Stamps [ns] that go on where a clock was set back."""
+    """Stamps [ns] that continue where a clock was set back."""
     step = np.diff(stamp, prepend=stamp[:1])
     back: Times = np.cumsum(np.where(step < -CLOCK_JUMP, step, 0))
     return stamp - back
 
 
 def _unit(kind: str, dtype: str, values: Floats) -> str:
-    """Unit as far as the numbers tell."""
+    """Unit guessed from the kind and the values."""
     jumps = np.abs(np.diff(values))
     if (
         kind == "angle"
@@ -382,14 +382,14 @@ def _at_motor(number: NumericField) -> bool:
 
 
 def _nearness(pair: AnglePair) -> tuple[bool, bool, bool, bool]:
-    """How much speaks for a pair: a ratio by its slope, the same tag, a motor by its name, the same topic."""
+    """Ranking of a pair: its slope gives a ratio, same tag, input named like a motor's, same topic."""
     one, other = pair.input, pair.output
     alike = one.tag == other.tag or other.tag in one.tag
     return not pair.counted, alike, _at_motor(one) and not _at_motor(other), one.topic is other.topic
 
 
 def _pairable(one: NumericField, other: NumericField) -> bool:
-    """Whether most of the output's samples have an input's at their stamp, or near to either side."""
+    """Whether most output samples have an input sample at their stamp, or two close together around it."""
     after = np.minimum(one.time.searchsorted(other.time), one.time.size - 1)
     before = np.maximum(after - 1, 0)
     near = one.time[after] - np.minimum(one.time[before], other.time) <= PAIRING_GAP * 1e-9
@@ -398,7 +398,7 @@ def _pairable(one: NumericField, other: NumericField) -> bool:
 
 
 def _slope(one: NumericField, other: NumericField) -> float | None:
-    """Slope of an angle over another in rad, where nothing else moves it."""
+    """Slope of `one` over `other` in rad or counts; None if they do not turn in proportion."""
     begin, end = max(one.time[0], other.time[0]), min(one.time[-1], other.time[-1])
     if end <= begin:
         return None
@@ -412,7 +412,7 @@ def _slope(one: NumericField, other: NumericField) -> float | None:
 
 
 def _continuous(number: NumericField) -> Floats:
-    """An angle [rad, or counts] without the jumps of an encoder that wraps or a counter that runs over."""
+    """An angle [rad, or counts] without the jumps of an encoder that wraps or a counter that overflows."""
     if number.unit == _COUNTS:
         return np.unwrap(number.values, period=2.0 ** np.ceil(np.log2(max(np.ptp(number.values), 2.0))))
     values = number.values * unit("input", number.unit or "rad").factor

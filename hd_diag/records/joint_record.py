@@ -36,14 +36,14 @@ from hd_diag.streams.signals import temperatures
 
 _REMEMBERED = 1 << 14  # samples over which topics of one bag may lag behind each other
 _STAMPS, _VALUES = ("stamp", "torque_stamp", "stretch"), ("input_angle", "output_angle", "torque", "speed")
-_ROOM = 1 << 22  # rows for which there is room at first: an hour at 1 kHz
-_TURN = 2.0 * np.pi + 1e-6  # of an encoder that wraps [rad]
+_ROOM = 1 << 22  # rows allocated at first: an hour at 1 kHz
+_TURN = 2.0 * np.pi + 1e-6  # range of an encoder that wraps [rad]
 
 
 class _Samples(NamedTuple):
-    """Samples of a joint as columns (n,), None where no bag has them; what became of the others.
+    """Samples of a joint as columns (n,), None if no bag has them; `stamps` describes samples left out.
 
-    Times since the first [s], numbers of the stretches, angles [rad], torque [N m], speed of the input
+    Time since the first sample [s], number of the stretch, angles [rad], torque [N m], speed of the input
     [rad/s], temperature [degree Celsius].
     """
 
@@ -58,10 +58,10 @@ class _Samples(NamedTuple):
 
 
 def read_bags(paths: Sequence[str | Path], joint: JointConfig) -> Record:
-    """A joint's record from one bag or several. Each begins a new run, as a clock set back does.
+    """A joint's record from one or more bags. Each bag, and each clock set back, begins a new run.
 
-    It is at the output angle's stamps, by the rules of `hd_diag.streams.alignment`. Raises BagError where a
-    bag cannot be read, RecordError where the joint has no input or output angle in them, or too little.
+    Samples are at the output angle's stamps, by the rules of `hd_diag.streams.alignment`. Raises BagError if
+    a bag cannot be read, RecordError if the bags lack the joint's input or output angle, or have too few.
     """
     found = _read_all(paths, joint, lambda samples: np.isfinite(samples.output_angle))
     time, stretch, given, own, torque, speed, warm, stamps = found
@@ -78,7 +78,7 @@ def read_bags(paths: Sequence[str | Path], joint: JointConfig) -> Record:
 
 
 def nothing(paths: Sequence[str | Path], joint: JointConfig, stamps: Stamps | None = None) -> str:
-    """Say which angle bags lack, and why or what they hold; for one angle, what a driver has to publish."""
+    """Text on the angles that bags lack, with the reason or the bags' content, or advice for one angle."""
     roles = (joint.signals.input, joint.input_joint), (joint.signals.output, joint.output_joint)
     given, measured = (place(*role) for role in roles)
     text = f"no input angle ({given}) with output angle ({measured}) in {', '.join(map(str, paths))}"
@@ -99,12 +99,11 @@ def nothing(paths: Sequence[str | Path], joint: JointConfig, stamps: Stamps | No
 
 @dataclass(frozen=True)
 class InputRecord:
-    """Angle and torque at a joint's input, whether or not its output was measured.
+    """Angle and torque at a joint's input; its output need not be measured.
 
     Columns of shape (n,): time [s], angle, continuous over the turns [rad], torque on the link [N m] or None,
-    number of the recording. `stamps` tells what became of samples that were left out, `no_torque` what a
-    reported torque is that nobody measured. RecordError if no stamps rise, or the input turns faster than any
-    can.
+    number of the recording. `stamps` describes samples that were left out. `no_torque` says why a reported
+    torque was not measured. RecordError if no stamps rise, or if the input turns faster than is possible.
     """
 
     time: Floats
@@ -123,10 +122,10 @@ class InputRecord:
 
 
 def read_motion(paths: Sequence[str | Path], joint: JointConfig) -> InputRecord | None:
-    """A joint's motion from one bag or several, at the input angle's stamps; None where there is none.
+    """A joint's motion from one or more bags, at the input angle's stamps; None if there is none.
 
-    Where only the output's angle is reported, and a torque, it is that angle times the ratio, at its stamps.
-    Raises BagError where a bag cannot be read.
+    If only the output angle and a torque are reported, the input angle is the output angle times the ratio,
+    at the output's stamps. Raises BagError if a bag cannot be read.
     """
     found = _read_all(paths, joint, _is_input)
     if is_single := not found.time.size:
@@ -146,7 +145,7 @@ def read_motion(paths: Sequence[str | Path], joint: JointConfig) -> InputRecord 
 
 
 def _check_clock(found: _Samples, output: Floats) -> None:
-    """Ask about stamps that no recording of a moving joint has; its output's angle [rad] is (n,)."""
+    """Raise RecordError with a question if stamps are implausible for the output angle [rad] (n,)."""
     if question := doubtful_clock(found.time, found.stretch, output):
         text = f"{question[0]} The robot's driver has to stamp in seconds and nanoseconds"
         raise RecordError(found.stamps.after(text))
@@ -157,14 +156,14 @@ def _is_input(samples: Aligned) -> Any:
 
 
 def _one_angle(paths: Sequence[str | Path], joint: JointConfig) -> _Samples:
-    """Samples whose input angle is the output's times the ratio."""
+    """Samples whose input angle is the output angle times the ratio."""
     signals = joint.signals._replace(input=joint.signals.output)
     own = replace(joint, input_joint=joint.output_joint, signals=signals, input_divided=True)
     return _read_all(paths, own, _is_input)
 
 
 def _read_all(paths: Sequence[str | Path], joint: JointConfig, wanted: Callable[[Aligned], Any]) -> _Samples:
-    """Samples of all bags that are wanted; `stretch` numbers what bags and clocks set back begin."""
+    """Samples of all bags that `wanted` selects; each bag and each clock set back begins a `stretch`."""
     bags, stamps, begun = [], Stamps(), 0
     for path in paths:
         columns, reported = _read(path, joint, wanted)
@@ -229,13 +228,13 @@ def _read(path: str | Path, joint: JointConfig, wanted: Callable[[Aligned], Any]
         and not (joint.input_divided or joint.signals.is_velocity)
         and encoder["high"] - encoder["low"] <= _TURN < np.ptp(given)
     ):
-        # It wraps: turns that are lost in a gap follow from the output, as `prepare` has it.
+        # The encoder wraps: `prepare` finds turns that are lost in a gap from the output.
         given = np.remainder(given + np.pi, 2.0 * np.pi) - np.pi
-    torque[torque_outliers(torque, stretch)] = inf  # goes with the samples around it, which are counted
+    torque[torque_outliers(torque, stretch)] = inf  # removed later with the samples around it, and counted
     torque = torque_between(stamp, stretch, torque, torque_stamp)
     warm = _temperature(np.concatenate(times), np.concatenate(heat), stamp)
     seen = streams.joints[0]
-    unpaired = int(seen["unpaired"] + seen["waiting"])  # no input came for those that still wait
+    unpaired = int(seen["unpaired"] + seen["waiting"])  # those that still wait got no input
     counts = int(seen["rejected"]), streams.last_rejection(0), unpaired, int(seen["clock_jumps"])
     reported = Stamps(*counts, tuple(reader.problems), int(seen["unstamped"]), others)
     return [stamp, stretch, given, own, torque, speed, warm], reported
@@ -244,9 +243,9 @@ def _read(path: str | Path, joint: JointConfig, wanted: Callable[[Aligned], Any]
 def _own_rows(
     joint: JointConfig, streams: Alignment, topics: JointTopics, columns: list[Any]
 ) -> tuple[list[Any], tuple[str, ...]]:
-    """Columns without what a second publisher gave, and what is said of it.
+    """Columns without the rows of a second publisher, and the text about it.
 
-    Turns that a wrapping angle seemed to make there and back are undone.
+    Whole turns that a wrapping angle seemed to make between the two publishers are removed.
     """
     stamp, _, stretch, given, own, torque, _ = columns
     within = streams.encoders[0]["high"] - streams.encoders[0]["low"] <= _TURN
@@ -269,7 +268,7 @@ def _own_rows(
 
 
 def _degrees(data: bytes, streams: Alignment) -> float:
-    """Temperature in a message [degree Celsius]; an impossible one is refused and becomes nan."""
+    """Temperature in a message [degree Celsius]; an impossible one is rejected and becomes nan."""
     try:
         return read_temperature(data)
     except ValueError as error:
@@ -278,7 +277,7 @@ def _degrees(data: bytes, streams: Alignment) -> float:
 
 
 def _temperature(time: Times, value: Floats, at: Times) -> Floats:
-    """Temperature at some times [ns]; none where fewer than two are known."""
+    """Temperature interpolated at some times [ns]; empty if fewer than two values are known."""
     known = np.abs(value) <= LARGEST_TEMPERATURE
     time, first = np.unique(time[known], return_index=True)
     if time.size < 2:
@@ -287,5 +286,5 @@ def _temperature(time: Times, value: Floats, at: Times) -> Floats:
 
 
 def _seconds(stamp: Times, origin: int) -> Floats:
-    """Times after an origin [s]: since 1970 a double would tell them to a quarter of a microsecond only."""
+    """Times after an origin [s]; since 1970 a double would resolve only a quarter of a microsecond."""
     return (stamp - origin).astype(np.float64) * 1e-9

@@ -1,4 +1,4 @@
-"""Topics of a bag that serve joints: those with joint states, and those that signals are mapped to."""
+"""Topics of a bag with signals of joints: joint states, and topics that signals are mapped to."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from hd_diag.messages.publications import INPUT, OWN_OUTPUTS, TEMPERATURE, tempe
 from hd_diag.streams.columns import JointStates
 from hd_diag.streams.signals import ROLES, JointSignals, Signal, key
 
-_SHOWN = 12  # topics that an error names
-_LONGEST = 60  # of a name
+_SHOWN = 12  # most topics that an error names
+_LONGEST = 60  # characters of a name
 
 
 class JointTopics:
-    """What is read of a bag for some joints, given the signals of each.
+    """Topics to read from a bag for some joints, given the signals of each.
 
-    Signals without a topic of their own are looked for in the topics `usual`, by default all with joint
-    states but a node's outputs and those that signals are mapped to. `names` gives the full names of the
-    topics of signals and temperatures where the bag's differ.
+    Signals without their own topic are read from the topics `usual`, by default all with joint states except
+    for a node's outputs and topics that signals are mapped to. `names` maps topics of signals and
+    temperatures to their full names, if the bag's names differ.
 
-    Attributes: `readers` by topic; `types` of these topics and of the temperatures'; `temperatures`, the
-    joints of topics with temperatures in a type of their own.
+    Attributes: `readers` by topic; `types` of these topics and of temperature topics; `temperatures`, the
+    joint of each topic with Temperature messages.
 
-    Raises BagError where a topic is missing, or has no such field; it names what there is. A log, which gives
-    `names`, may lack topics without messages.
+    Raises BagError if a topic or field is missing, and names those that exist. A log, which gives `names`,
+    may lack topics without messages.
     """
 
     def __init__(
@@ -66,11 +66,11 @@ class JointTopics:
         self.types |= dict.fromkeys(self.temperatures, TEMPERATURE)
 
     def is_read(self, topic: Topic) -> bool:
-        """Whether a topic has signals that are aligned with each other."""
+        """Whether a topic has signals for the alignment."""
         return topic.name in self.readers and topic.type_name == self.types[topic.name]
 
     def columns(self, mixed: Mixed) -> tuple[list[JointStates], list[tuple[int, str]]]:
-        """Signals of consecutive messages; positions of those that cannot be read, and why, in order."""
+        """Signals of consecutive messages; positions of unreadable messages and reasons, topic by topic."""
         shapes: list[JointStates] = []
         refused: list[tuple[int, str]] = []
         for rows, batch in mixed.batches:
@@ -80,7 +80,7 @@ class JointTopics:
         return shapes, refused
 
     def _find(self, joint: str, signal: Signal) -> str:
-        """Name that the bag has for a signal's topic; empty if a node's log has no message of it."""
+        """The bag's name of a signal's topic; empty if a node's log has no such topic."""
         wanted = self._names.get(signal.topic, signal.topic)
         end = "/" + wanted.lstrip("/")
         known = [t for t in self._bag.topics if t.name == wanted] or [
@@ -105,7 +105,7 @@ class JointTopics:
         return right[0]
 
     def _usual(self, mapped: Iterable[str], signals: Mapping[str, JointSignals]) -> list[str]:
-        """Topics with joint states but those that are mapped, unless they are called as a node's input is."""
+        """Topics with joint states, except for mapped ones that are not named like a node's input."""
         every = [t for t in joint_state_topics(self._bag) if t not in mapped or t.endswith(f"/{INPUT}")]
         if not every and not any(signal for own in signals.values() for signal in own):
             raise BagError(self._bag.path, f"has no topic with {JOINT_STATE}; {held(self._bag)}")
@@ -140,7 +140,7 @@ def joint_state_topics(reader: BagReader) -> list[str]:
 
 
 def joints_in(reader: BagReader) -> frozenset[str]:
-    """Names that the joint states of a bag hold."""
+    """Joint names in a bag's joint states."""
     names: set[str] = set()
     for batch in reader.batches(joint_state_topics(reader)):
         for states in reader.joint_states(batch)[0]:
@@ -149,7 +149,7 @@ def joints_in(reader: BagReader) -> frozenset[str]:
 
 
 def held(reader: BagReader) -> str:
-    """Topics of a bag with their types, its problems and where to look, for an error."""
+    """Text for an error: topics of a bag with their types, its problems, and where to look further."""
     every = [*reader.topics, *reader.foreign]
     topics = [f"{visible(t.name, _LONGEST)} ({visible(t.content, _LONGEST)})" for t in every]
     content = f"it has {listed(topics, _SHOWN)}; see hd-diag topics" if topics else "it has no topics"
@@ -157,7 +157,7 @@ def held(reader: BagReader) -> str:
 
 
 def offered(path: str | Path) -> str:
-    """Joints and topics of a bag, and where to go on, for an error about a joint that is not in it."""
+    """Text for an error about a missing joint: joints and topics of the bag, and where to look further."""
     with BagReader(path) as reader:
         names = [visible(name, _LONGEST) for name in sorted(joints_in(reader))]
         topics = [visible(topic.name, _LONGEST) for topic in reader.topics]
@@ -172,7 +172,7 @@ def no_input(path: str | Path, joint: JointConfig) -> str:
 
 
 def place(signal: Signal | None, name: str) -> str:
-    """Where a signal is looked for, for an error; by default under a name in joint states."""
+    """Text for an error: where a signal is looked for, by default under a name in joint states."""
     if signal is None:
         return repr(name)
     return f"{signal.field} of {signal.topic or 'joint states'}, {signal.name!r}"

@@ -1,4 +1,4 @@
-"""What a robot's description (URDF) says of its joints: transmissions, with their actuators and ratios.
+"""Transmissions of joints in a robot's description (URDF), with their actuators and ratios.
 
 Both forms are read: ``<transmission>`` of URDF (``mechanicalReduction``) and of ros2_control
 (``mechanical_reduction`` within ``<ros2_control>``).
@@ -19,12 +19,12 @@ from hd_diag.messages.publications import STRING, read_string
 
 _REDUCTIONS = ("mechanicalReduction", "mechanical_reduction")
 _TOPIC = "robot_description"
-_SAME = 0.01  # relative difference allowed from a described ratio: these have few digits
+_SAME = 0.01  # allowed relative difference from a described ratio, which has few digits
 _LONGEST = 60  # characters of a name or number
 
 
 class Transmission(NamedTuple):
-    """A joint's transmission: the actuator's name, empty where it has none; its turns to one of the joint."""
+    """A joint's transmission: the actuator's name, empty if none; its turns per turn of the joint."""
 
     joint: str
     actuator: str
@@ -37,7 +37,7 @@ def transmissions(text: str) -> tuple[list[Transmission], list[str]]:
     Raises
     ------
     ValueError
-        Where the text is no description of a robot.
+        If the text is no description of a robot.
     """
     root = _parsed(text)
     if root.tag != "robot":
@@ -52,7 +52,7 @@ def transmissions(text: str) -> tuple[list[Transmission], list[str]]:
 
 
 def described(reader: BagReader) -> tuple[str, str]:
-    """The last description in a bag and its topic; both empty where the bag has none."""
+    """The last description in a bag and its topic; both empty if the bag has none."""
     found = "", ""
     for topic in reader.topics:
         if topic.type_name == STRING and topic.name.rpartition("/")[2] == _TOPIC:
@@ -63,7 +63,7 @@ def described(reader: BagReader) -> tuple[str, str]:
 
 
 def contradictions(found: Iterable[Transmission], joints: Iterable[JointConfig]) -> list[str]:
-    """Where configured ratios are not those of a description."""
+    """Texts on configured ratios that differ from those of a description."""
     ratios = {each.joint: each.ratio for each in found}
     told = []
     for joint in joints:
@@ -90,7 +90,7 @@ def _of(transmission: Element) -> list[Transmission]:
 
 
 def _reduction(element: Element) -> float | None:
-    """Reduction of a joint or an actuator; None where none is given."""
+    """Reduction of a joint or an actuator; None if none is given."""
     text = next((each.text or "" for tag in _REDUCTIONS for each in element.iter(tag)), None)
     if text is None:
         return None
@@ -105,7 +105,7 @@ def _reduction(element: Element) -> float | None:
 
 
 def _parsed(text: str) -> Element:
-    """The root of a document; one that declares entities, which may expand without end, is refused."""
+    """The root of a document; ValueError if it declares entities, because they may expand without end."""
     builder, parser = TreeBuilder(), expat.ParserCreate()
 
     def refuse(*_: object) -> None:

@@ -1,4 +1,4 @@
-"""What the columns of a table could be: numbers like those of a bag, with names for `--columns`."""
+"""Columns of a table as numbers like those of a bag, with names for `--columns`."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from hd_diag.records.tables import IN_HEADER
 from hd_diag.records.text_table import quantity, seconds, text_table
 from hd_diag.streams.signals import unit
 
-_MOST_ROWS = 50_000  # that are looked at
+_MOST_ROWS = 50_000  # rows that are examined
 _TIME = re.compile(r"(?<![a-z])(t|time|times|zeit|secs?|seconds?)(?![a-z])|stamp|time")
-_LARGEST = 1e300  # beyond it differences of numbers are none
+_LARGEST = 1e300  # differences of larger numbers may overflow
 _RECORD = re.compile(r"record(ing)?|run|trial|bag")
-_RISING = 0.9  # share of the steps of a time: files may be one behind the other
-_AMBIGUOUS = set(",=*[]")  # what a name in --columns cannot hold
+_RISING = 0.9  # share of rising steps of a time; appended files step back
+_AMBIGUOUS = set(",=*[]")  # characters that a name in --columns cannot hold
 
 
 class TableColumns(NamedTuple):
-    """Columns of a table as `--columns` names them: numbers; time and recording, or nothing; time [s]."""
+    """Columns of a table by names for `--columns`: numbers; time and recording, empty if none; time [s]."""
 
     fields: list[NumericField]
     time_name: str
@@ -71,7 +71,7 @@ def table_columns(path: Path) -> TableColumns:
 
 
 def _values(width: int, rows: list[list[str]]) -> Floats:
-    """Numbers of all columns, (columns, n); nan where a cell has none that a joint could have."""
+    """Numbers of all columns, (columns, n); nan for cells without a possible number."""
     found = np.full((len(rows), width), np.nan)
     for row, cells in enumerate(rows):
         for column, cell in enumerate(cells[:width]):
@@ -81,7 +81,7 @@ def _values(width: int, rows: list[list[str]]) -> Floats:
 
 
 def _time_column(header: Sequence[str], values: Floats) -> int | None:
-    """Number of the column that is the time: by its name, else the first without one that rises evenly."""
+    """Index of the time column: rising and named so, otherwise the first without a name that rises evenly."""
     step = np.diff(values, axis=1)
     if not step.shape[1]:
         return None
@@ -94,13 +94,13 @@ def _time_column(header: Sequence[str], values: Floats) -> int | None:
 
 
 def _likely_unit(time: Floats) -> str:
-    """Unit of a time by what joints are recorded like; empty for s."""
+    """Likely unit of a time, for a plausible rate of recording; empty for s."""
     question = doubtful_clock(time, np.zeros(time.size, np.int64), np.zeros(time.size))
     return question[1] if question else ""
 
 
 def _unit_of(role: str, name: str) -> str:
-    """Unit in a column's name, in brackets or behind a low line; empty if no unit is known."""
+    """Unit in a column's name, in brackets or after an underscore; empty if no unit is known."""
     given = IN_HEADER.fullmatch(name)
     text = given["unit"] if given else name.rpartition("_")[2]
     with suppress(ValueError):
@@ -110,7 +110,7 @@ def _unit_of(role: str, name: str) -> str:
 
 
 def _names(header: Sequence[str]) -> list[str]:
-    """What to call columns in `--columns`: names without units, numbers where those are not plain."""
+    """Names of columns for `--columns`: without units; a column's number if its name is not plain."""
     given = map(IN_HEADER.fullmatch, header)
     names = [found["name"] if found else name for found, name in zip(given, header, strict=True)]
     counts = Counter(names)
@@ -119,12 +119,12 @@ def _names(header: Sequence[str]) -> list[str]:
 
 
 def _is_plain(name: str) -> bool:
-    """Whether a name can stand in `--columns`, where a number is that of a column."""
+    """Whether a name is valid in `--columns`, where a number means a column's number."""
     return name.strip() == name != "" and not _AMBIGUOUS & set(name) and not name.isdecimal()
 
 
 def _field(topic: Topic, name: str, shown: str, time: Floats, values: Floats, tag: str) -> NumericField:
-    """A column as a number of a bag; it may be an angle where its name says nothing."""
+    """A column as a number of a bag; taken as an angle if its name does not state a kind."""
     words = "q" if name.isdecimal() else name
     if torque := _unit_of("torque", name):
         words = "current" if unit("torque", torque).is_current else "torque"
@@ -134,12 +134,12 @@ def _field(topic: Topic, name: str, shown: str, time: Floats, values: Floats, ta
     role = {"angle": "output", "velocity": "input", "current": "torque"}.get(found.kind, found.kind)
     stated = _unit_of(role, name)
     if IN_HEADER.fullmatch(name) and not stated:
-        shown = f"{shown}[{found.unit}]"  # what stands there in brackets is no unit
+        shown = f"{shown}[{found.unit}]"  # the brackets in the name hold no unit
     return replace(found, field=shown, unit=stated or found.unit)
 
 
 def _tags(header: Sequence[str]) -> list[str]:
-    """Numbers in names that distinguish joints; empty where a number is alone."""
+    """Numbers in names that distinguish joints; empty if no other name has the same number."""
     numbers = ["" if name.isdecimal() else "".join(re.findall(r"\d+", name)[:1]) for name in header]
     counts = Counter(numbers)
     return [number if counts[number] > 1 else "" for number in numbers]

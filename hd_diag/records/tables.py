@@ -30,13 +30,13 @@ from hd_diag.streams.second_publisher import other_rows
 from hd_diag.streams.signals import Unit, unit
 
 COLUMNS = ("time", "input", "output", "torque", "temperature")
-"""Columns that `read_tables` knows; beside them ``record`` distinguishes recordings in one file."""
+"""Columns that `read_tables` knows; in addition, ``record`` distinguishes recordings in one file."""
 
-_KEYS = ELSEWHERE, "output", "", "input"  # of rows with a velocity
+_KEYS = ELSEWHERE, "output", "", "input"  # keys of signals if the input is a velocity
 _USUAL = dict(zip(COLUMNS, ("s", "rad", "rad", "N m", "degC"), strict=True))
 _GIVEN = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<unit>[^\[\]]+)\])?\s*(?:\*\s*(?P<scale>[-+.\deE]+))?")
 IN_HEADER = re.compile(r"(?P<name>.*?)\s*[\[(](?P<unit>(?!\d+[\])])[^\[\]()]+)[\])]")
-"""A column's name with a unit behind it; a number there is an index."""
+"""A column's name followed by a unit in brackets; a number in brackets is an index."""
 
 _STATED = re.compile(r"\[[^\[\]]+\]\s*(\*.*)?$")
 _TURN = 2.0 * np.pi + 1e-6
@@ -48,18 +48,18 @@ _LARGEST = {
     "temperature": (LARGEST_TEMPERATURE, "degC"),
 }
 _MOST_ROWS = 50_000_000  # half a day at 1 kHz
-_TOGETHER = 4096  # rows that become numbers at once
-_PART = "part"  # of a file, since its header came again
+_TOGETHER = 4096  # rows converted to numbers at once
+_PART = "part"  # column: number of the part of a file; a repeated header begins a part
 
 
 @dataclass(frozen=True)
 class Table:
-    """How CSV files are read.
+    """How to read CSV files.
 
-    `columns` maps keys of `COLUMNS` and ``record`` to names in the files' headers, or numbers of columns,
-    each with ``[unit]`` and ``*scale`` behind it where needed; a unit in the header counts too. `divided`:
-    the input angle is already divided by the ratio. `rate` is that of files without a column of time [Hz], 0
-    where they have one. An empty delimiter is found from the rows.
+    `columns` maps keys of `COLUMNS` and ``record`` to names in the files' headers or numbers of columns, each
+    followed by ``[unit]`` and ``*scale`` if needed; a unit in the header counts too. `divided`: the input
+    angle is already divided by the ratio. `rate` is the sample rate of files without a time column [Hz],
+    otherwise 0. An empty delimiter is found from the rows.
     """
 
     columns: Mapping[str, str]
@@ -69,9 +69,9 @@ class Table:
 
 
 def read_tables(paths: Sequence[str | Path], table: Table, joint: JointConfig) -> Record:
-    """A record from CSV files; each is a recording.
+    """A record from CSV files; each file is a recording.
 
-    Raises RecordError where a file lacks a column, or a value is not a number.
+    Raises RecordError if a file lacks a column, or a value is not a number.
     """
     _check_both(table)
     found, units, stamps = columns_of(paths, table, joint, ("time", "input", "output"))
@@ -83,7 +83,7 @@ def read_tables(paths: Sequence[str | Path], table: Table, joint: JointConfig) -
 
 
 def _check_both(table: Table) -> None:
-    """Raise RecordError for columns that are not known, and for one angle: what could be done with it."""
+    """Raise RecordError for unknown columns, and for a single angle, with advice on what to do."""
     given = table.columns
     _check_known(given)
     if ("input" in given) == ("output" in given):
@@ -107,9 +107,9 @@ def _check_known(given: Mapping[str, str]) -> None:
 
 
 def read_table_motion(paths: Sequence[str | Path], table: Table, joint: JointConfig) -> InputRecord:
-    """A joint's motion and torque from CSV files: of the input's angle, else of the output's times the ratio.
+    """A joint's motion and torque from CSV files: the input angle, or else the output angle times the ratio.
 
-    RecordError as of :func:`read_tables`; the torque is needed.
+    The torque is needed. Raises RecordError as :func:`read_tables`.
     """
     angle = "input" if "input" in table.columns else "output"
     found, _, stamps = columns_of(paths, table, joint, ("time", angle, "torque"))
@@ -129,12 +129,12 @@ def read_table_motion(paths: Sequence[str | Path], table: Table, joint: JointCon
 def columns_of(
     paths: Sequence[str | Path], table: Table, joint: JointConfig, needed: Sequence[str]
 ) -> tuple[dict[str, Floats], dict[str, Unit], Stamps]:
-    """Columns of CSV files, the units that they had, and rows left out for numbers that cannot be.
+    """Columns of CSV files, the units that they had, and a report on rows with impossible numbers.
 
-    Given are those of `COLUMNS` that the table names, of shape (n,): time [s], angles [rad] (the input's is
-    the wave generator's, and continuous where it was divided, counted or integrated), torque [N m],
-    temperature [degree Celsius]; ``record``, the number of the recording; and the input's ``speed`` [rad/s]
-    where that was given. RecordError where one that is needed is not there.
+    Returns those of `COLUMNS` that the table names, of shape (n,): time [s], angles [rad], torque [N m],
+    temperature [degree Celsius]. The input angle is the wave generator's, and continuous if it was divided,
+    counted or integrated. Also ``record``, the number of the recording, and the input's ``speed`` [rad/s] if
+    it was given. Raises RecordError if a `needed` column is missing.
     """
     given = dict(table.columns)
     _check_known(given)
@@ -159,7 +159,7 @@ def columns_of(
 
 
 def _own_rows(found: dict[str, Floats], stamps: Stamps) -> Stamps:
-    """Remove the rows of a second publisher in place; returns what to say about them."""
+    """Remove the rows of a second publisher in place; returns `stamps` with a text about them."""
     roles = [name for name in _USUAL if name in found and name not in ("time", "temperature")]
     measured = {name: found[name] for name in roles if np.isfinite(found[name]).any()}
     within = [
@@ -176,7 +176,7 @@ def _own_rows(found: dict[str, Floats], stamps: Stamps) -> Stamps:
 
 
 def _check_clock(table: Table, found: Mapping[str, Floats], ratio: float) -> None:
-    """Ask for the unit of time, by a RecordError, if no joint moves like this; not if the user gave it."""
+    """Raise RecordError to ask for the unit of time, if it is not given and no joint moves like this."""
     name = table.columns.get("time", "")
     if not name or _STATED.search(name):
         return
@@ -208,7 +208,7 @@ def _make_angles(
 
 
 def _integrate(found: dict[str, Floats], record: Integers, names: Names) -> None:
-    """Replace the input's velocity by its integral, as streams integrate it; nan where there is none."""
+    """Replace the input's velocity by its integral, as streams integrate it; nan for unusable rows."""
     if "output" not in found:
         raise RecordError("a velocity as input needs the output's angle to begin its integral from")
     columns = np.stack((found["output"], found["input"]), axis=1)
@@ -240,14 +240,14 @@ def _count(angle: Floats, counter: float, record: Integers) -> None:
 
 
 def _follow(angle: Floats, record: Integers) -> None:
-    """Unwrap angles that stay within a turn, in place, recording by recording."""
+    """Unwrap angles that stay within a turn, in place and for each recording."""
     for begin, end in bounds(record):
         if begin < end and np.ptp(angle[begin:end]) <= _TURN:
             angle[begin:end] = unwrapped(angle[begin:end])
 
 
 def _file(path: Path, table: Table, usual: Mapping[str, str]) -> tuple[dict[str, Floats], dict[str, Unit]]:
-    """Columns of a file in SI, and the units that they had; the usual one where none is given."""
+    """Columns of a file in SI, and the units that they had; the usual unit if none is given."""
     try:
         text = text_table(path, table.delimiter)
         wanted = {key: _column(text, key, given, usual) for key, given in table.columns.items()}
@@ -290,7 +290,7 @@ def _possible(columns: dict[str, Floats]) -> tuple[dict[str, Floats], Stamps]:
 
 
 def _column(text: TextTable, key: str, given: str, usual: Mapping[str, str]) -> tuple[int, Unit]:
-    """Place of a column in the rows, and its unit."""
+    """Index of a column in the rows, and its unit."""
     place, name, stated, scale = place_of(text, given)
     if key == "record":
         return place, Unit(1.0)
@@ -304,7 +304,7 @@ def _column(text: TextTable, key: str, given: str, usual: Mapping[str, str]) -> 
 
 
 def place_of(text: TextTable, given: str) -> tuple[int, str, str, str]:
-    """Place of a column given by its name or number, its name, and the unit and scale that were given."""
+    """Index of a column given by its name or number, its name, and the unit and scale that were given."""
     header = list(text.header)
     name, stated, scale = given, "", ""
     if given not in header and (parts := _GIVEN.fullmatch(given)):
@@ -321,9 +321,9 @@ def place_of(text: TextTable, given: str) -> tuple[int, str, str, str]:
 
 
 def _numbers(path: Path, lines: Sequence[int], cells: Sequence[str]) -> list[float]:
-    """Numbers in cells of one column, whose lines are for the error."""
+    """Numbers in the cells of one column; `lines` are for the error."""
     try:
-        return list(map(float, cells))  # what most cells are
+        return list(map(float, cells))  # fast path for most cells
     except ValueError:
         return [_number(path, line, cell) for line, cell in zip(lines, cells, strict=True)]
 

@@ -1,8 +1,7 @@
 """The text of a table, as spreadsheets, loggers and scopes write it: encoding, header, rows of cells.
 
-Before the rows there may be remarks, the names of the columns and a line with their units; each may be
-missing, and all may come again where files were put one behind the other. Without names, columns have their
-numbers.
+Remarks, the names of the columns and a line with their units may precede the rows. Each may be missing, and
+all may be repeated if files were appended to each other. Without names, columns are called by their numbers.
 """
 
 from __future__ import annotations
@@ -23,12 +22,12 @@ from hd_diag.diagnosis.record import RecordError
 from hd_diag.streams.signals import is_unit
 
 WHITE = " "
-"""Delimiter of columns between which there is white space, of any width."""
+"""Delimiter that stands for white space of any width between columns."""
 
-_DELIMITERS = (";", "\t", "|", ",", WHITE)  # a comma after those beside which it is a decimal one
+_DELIMITERS = (";", "\t", "|", ",", WHITE)  # comma after delimiters with which it may be a decimal comma
 _LONGEST_LINE = 1 << 20
-_LOOKED_AT = 500  # lines in which the rows must have begun
-_HEAD = 4096  # bytes that tell the encoding
+_LOOKED_AT = 500  # lines within which the rows must begin
+_HEAD = 4096  # first bytes, which decide the encoding
 _MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 _REMARK = ("#", "%", "//")
 _NAMES = (".csv", ".tsv", ".txt", ".dat", ".asc")
@@ -40,7 +39,7 @@ _OF_DAY = re.compile(r"(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)")
 _MINUTE, _HOUR = 60.0, 3600.0  # [s]
 
 
-# What is no UTF-8 is of Windows: degree signs and umlauts in names of columns.
+# Bytes that are not UTF-8 come from Windows: degree signs and umlauts in names of columns.
 def _of_windows(error: UnicodeError) -> tuple[str, int]:
     assert isinstance(error, UnicodeDecodeError)
     return error.object[error.start : error.end].decode("cp1252", "replace"), error.end
@@ -51,11 +50,11 @@ codecs.register_error("cp1252", _of_windows)
 
 @dataclass(frozen=True)
 class TextTable:
-    """How a file is laid out.
+    """Layout of a file.
 
-    Its delimiter; names of its columns, with units behind them, or numbers where it has none; whether it has
-    any row; number of its lines before the first row; what a line holds that names the columns, and their
-    units, again.
+    `header` has the names of the columns, followed by units, or numbers if the file has no names. `has_rows`
+    says whether there is any row, `before` is the number of lines before the first row. `repeated` has the
+    cells of lines that name the columns, or their units, if they are repeated.
     """
 
     path: Path
@@ -67,7 +66,7 @@ class TextTable:
     repeated: tuple[tuple[str, ...], ...]
 
     def rows(self) -> Iterator[tuple[int, int, list[str]]]:
-        """Number of a row's line, of the part of the file since a header came again, and the row's cells."""
+        """Yield each row's line number, part number and cells; a repeated header begins a new part."""
         line, part, ended = self.before, 0, False
 
         def lines() -> Iterator[str]:
@@ -93,7 +92,7 @@ def is_table(path: Path) -> bool:
 
 
 def text_table(path: Path, delimiter: str = "") -> TextTable:
-    """Layout of a file, with a given or found delimiter; RecordError if it is not text."""
+    """Layout of a file, with a given or detected delimiter; RecordError if it is not text."""
     if path.exists() and not path.is_file():
         raise RecordError(f"{path}: is no file but a pipe, a device or a folder: save the table as a file")
     encoding = _encoding(path)
@@ -112,7 +111,7 @@ def text_table(path: Path, delimiter: str = "") -> TextTable:
 
 
 def quantity(text: str) -> float | None:
-    """A cell's number, or its time in s; nan where it holds none, None where it holds something else."""
+    """A cell's number, or its time [s]; nan if the cell is empty or marked as missing, else None."""
     text = text.strip()
     if text.lower() in _MISSING:
         return nan
@@ -123,7 +122,7 @@ def quantity(text: str) -> float | None:
 
 
 def seconds(text: str) -> float | None:
-    """A date with its time (ISO 8601), or a time of the day, in s; None where it is neither."""
+    """A date with its time (ISO 8601), or a time of the day, in s; None if it is neither."""
     if found := _OF_DAY.fullmatch(text):
         return float(found[1]) * _HOUR + float(found[2]) * _MINUTE + float(found[3].replace(",", "."))
     if not (found := _DATE.fullmatch(text)):
@@ -164,7 +163,7 @@ def _opened(path: Path, encoding: str) -> TextIO:
 
 
 def _lines(file: TextIO) -> Iterator[str]:
-    """Lines of a file; one longer than is plausible is refused."""
+    """Lines of a file; csv.Error for a line of implausible length."""
     while line := file.readline(_LONGEST_LINE):
         if len(line) == _LONGEST_LINE:
             raise csv.Error(f"a line is longer than {_LONGEST_LINE} characters")
@@ -179,13 +178,13 @@ def _split(lines: Iterator[str], delimiter: str) -> Iterator[list[str]]:
 
 
 def _bare(cells: list[str]) -> list[str]:
-    """Cells of a line that may be a header behind the mark of a remark."""
+    """Cells of a line without the mark of a remark, because a header may follow the mark."""
     first = cells[0].lstrip("#%/").strip() if cells else ""
     return [first, *cells[1:]] if first else cells[1:]
 
 
 def _first_row(split: list[list[str]]) -> int | None:
-    """Number of the first line of numbers, if it has as many of them as a table must have."""
+    """Index of the first row of numbers; None if the lines are no table with this delimiter."""
     count = [_numbers(cells) for cells in split]
     widths = Counter(
         len(cells) for cells, n in zip(split, count, strict=True) if n > 1 or len(cells) == n > 0
@@ -201,7 +200,7 @@ def _first_row(split: list[list[str]]) -> int | None:
 
 
 def _numbers(cells: list[str]) -> int:
-    """How many cells hold a number or a time; 0 if a cell holds several: the delimiter is another."""
+    """How many cells hold a number or a time; 0 if a cell holds several, as the delimiter is then wrong."""
     inner = any(len(parts := cell.split()) > 1 and all(map(_is_number, parts)) for cell in cells)
     return 0 if inner else sum(map(_is_number, cells))
 
@@ -211,7 +210,7 @@ def _is_number(cell: str) -> bool:
 
 
 def _header(split: list[list[str]], first: int) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
-    """Names of the columns, with a line of units in them, and the lines that give them."""
+    """Names of the columns, with the units of a line of units, and the lines that give them."""
     width = len(split[first])
     above = [_bare(cells) for cells in split[:first] if any(cells)][-2:]
     named = [cells for cells in above if abs(len(cells) - width) <= 1 and not _numbers(cells)]

@@ -1,23 +1,23 @@
-"""Events of a session, written to its log and read back: a log may be damaged or hostile.
+"""Writes events of a session to its log and reads them back; a log may be damaged or hostile.
 
 An event is a JSON object in a std_msgs/String, with its kind as ``event``:
 
 configuration
-    ``parameters`` by full name: all of them where a session begins (``new``), else those that changed.
-    ``topics`` holds the names that the node's topics had when the session began, by their names in
-    `messages`; ``models`` the content of the model files that came into force, by joint; ``versions`` those
-    of the software that the session began with, null where absent, and nothing where the log does not tell.
+    ``parameters`` by full name: all of them if a session begins (``new``), otherwise those that changed.
+    ``topics`` maps the names of the node's topics in `messages` to their names at the session's start.
+    ``models`` has the content of the model files that came into force, by joint. ``versions`` has the
+    software versions at the session's start, null for absent software; it is empty if the log lacks them.
 map
-    From here on a ``joint`` is predicted by its map, which was built up to a ``torque_limit`` [N m].
+    From here on a ``joint`` is predicted with its map, which was built up to a ``torque_limit`` [N m].
 report
-    Header ``stamp`` [ns], what the surroundings knew as ``facts``, how long each joint had been silent as
-    ``silence`` [s]: measured on a clock that no other message holds; older logs lack it.
+    Header ``stamp`` [ns], ``facts`` from outside the monitor, and ``silence`` of each joint [s]. A clock that
+    no other message contains measures the silence; older logs lack it.
 clock
-    The clock of the stamps was set back: those later than a ``stamp`` [ns] are of before.
+    The clock of the stamps was set back: stamps later than ``stamp`` [ns] are from before.
 state
-    A log that goes on where another ended: what the ``monitor`` knew by then (see `monitor.carried`).
+    State of the ``monitor`` where the log continues another one (see `monitor.carried`).
 pace
-    From here on a ``share`` of the per-tooth arrays and drawings is published: the node cannot keep up.
+    From here on only a ``share`` of the per-tooth arrays and drawings is published: the node cannot keep up.
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ from typing import Any
 
 from hd_diag.messages.publications import LAST_TIME, read_string, string
 
-_LONGEST = 4 << 20  # of an event that a session of a hundred joints writes: some hundred kilobytes
+_LONGEST = 4 << 20  # longest event [byte]; a session of a hundred joints writes some hundred kilobytes
 
 Event = dict[str, Any]
 
 
 def write_event(event: str, **fields: Any) -> bytes:
-    """CDR of a std_msgs/String with an event of a kind as a JSON object; what is empty is left out."""
+    """CDR of a std_msgs/String with an event as a JSON object; empty optional mappings are left out."""
     known = {name: value for name, value in fields.items() if value or _USUAL.get(name) != {}}
     return string(json.dumps({"event": event, **known}))
 
 
 def read_event(data: bytes) -> Event:
-    """Event with all its fields from the CDR of a std_msgs/String; empty for a kind of later versions.
+    """Event with all its fields from the CDR of a std_msgs/String; empty for an unknown, later kind.
 
     Raises
     ------
     ValueError
-        Saying what it lacks.
+        If the event is invalid; the message says what it lacks.
     """
     if len(data) > _LONGEST:
         raise ValueError(f"it has {len(data)} bytes")

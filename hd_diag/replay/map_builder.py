@@ -1,4 +1,4 @@
-"""Maps built beside the running monitor: one worker thread, the newest request of each joint first served."""
+"""Builds maps beside the running monitor in one worker thread; only each joint's newest request counts."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from hd_diag.model.torsion_map import BuildCancelled, TorsionMap, build
 
 
 def map_of(joint: JointConfig) -> TorsionMap:
-    """Map of a joint, built now."""
+    """Build the map of a joint now."""
     return build(joint.drive.mesh, map_limit(joint))
 
 
 def map_limit(joint: JointConfig) -> float:
-    """Torque that a joint's map reaches [N m]."""
+    """Largest torque of a joint's map [N m]."""
     return TORQUE_RANGE * joint.drive.rated_torque
 
 
 class MapBuilder:
-    """Builds maps in a thread of its own; `finished` holds joints with their maps, or why they have none."""
+    """Builds maps in its own thread; `finished` holds joints with their maps, or the error of the build."""
 
     def __init__(self) -> None:
         self.finished: queue.SimpleQueue[tuple[str, TorsionMap | Exception]] = queue.SimpleQueue()
@@ -36,13 +36,13 @@ class MapBuilder:
         self._thread.start()
 
     def request(self, joint: JointConfig) -> None:
-        """Ask for a joint's map; an older request of the same joint is given up."""
+        """Ask for a joint's map; an older request of the same joint is dropped."""
         with self._changed:
             self._wanted[joint.name] = (joint.drive.mesh, map_limit(joint))
             self._changed.notify()
 
     def close(self) -> None:
-        """Give up what is being built and end the thread."""
+        """Cancel the running build and end the thread."""
         with self._changed:
             self._closed = True
             self._changed.notify()
@@ -65,7 +65,7 @@ class MapBuilder:
             self._built[mesh, limit] = result
         except BuildCancelled:
             return
-        except Exception as error:  # whatever it is, the next map shall be built
+        except Exception as error:  # after any error the next map must be built
             result = error
         with self._changed:
             if self._wanted.get(name) == (mesh, limit):

@@ -1,4 +1,4 @@
-"""What a monitor needs before its first sample."""
+"""Preparation of a monitor before its first sample."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from hd_diag.messages import encoding
 from hd_diag.model import torsion
 from hd_diag.monitor.all_joints import warm_up
 
-_PATIENCE = 0.05  # between looks at the process that compiles [s]
+_PATIENCE = 0.05  # between checks of the compiling process [s]
 
 
 def prepare(config: Config) -> None:
-    """Compute once what samples would have to wait for: constants, imports, machine code of maps too."""
+    """Compute in advance what samples would wait for: constants, imports, machine code, also for maps."""
     warm_up(config)
     torsion.warm_up()
     encoding.warm_up()
 
 
 def entry_points() -> list[Any]:
-    """What `prepare` compiles; the last one last."""
+    """Entry points that `prepare` compiles; the one that it compiles last comes last."""
     from hd_diag.messages.kernel import read, write  # it imports numba
     from hd_diag.model.kernel.entry import curves, mesh_state, torsion, torsion_table
     from hd_diag.model.kernel.interpolation import columns, interpolate
@@ -40,7 +40,7 @@ def entry_points() -> list[Any]:
 
 
 def changed_since(kernel: Any) -> bool:
-    """Whether a kernel has changed since the machine code of an entry point was kept."""
+    """Whether any kernel file is newer than the cached machine code of an entry point."""
     package = Path(hd_diag.__file__).parent
     kernels = [*package.glob("*/kernel*.py"), *package.glob("*/kernel/*.py")]
     changed = max(file.stat().st_mtime for file in kernels)
@@ -53,14 +53,14 @@ def _kept(kernel: Any) -> list[Path]:
 
 
 def compile_apart(stopped: Sequence[int], tell: Callable[[str], object]) -> None:
-    """Have machine code that is not on the disk yet made by a process of its own.
+    """Compile missing machine code in a child process.
 
-    Compiling takes 400 MB, which numba and LLVM keep. The process ends when a signal has come, which
-    `stopped` then holds.
+    Compiling takes 400 MB, which numba and LLVM keep. The child is killed as soon as `stopped` holds a
+    signal.
     """
     from hd_diag.model.kernel.compiler import is_kept
 
-    *others, read = entry_points()  # other verbs compile some of them
+    *others, read = entry_points()  # other verbs may have compiled some of them
     if all(map(is_kept, (read, *others))) and not changed_since(read):
         return
     tell("preparing the model: the first time on a machine this takes half a minute")
@@ -68,7 +68,7 @@ def compile_apart(stopped: Sequence[int], tell: Callable[[str], object]) -> None
     if not child:
         try:
             prepare(resolve({}))
-            for file in _kept(read):  # it may be older than another kernel, which was compiled now
+            for file in _kept(read):  # it may be older than a kernel that was compiled now
                 file.touch()
         finally:
             os._exit(0)

@@ -1,7 +1,7 @@
-"""One run of the monitor, live or replayed: what comes in, what goes out, and the events in between.
+"""One run of the monitor, live or replayed: inputs, outputs and events.
 
-The events (configuration, map in force, report) are all that the outputs depend on besides the received
-messages. Recorded in their order, they make a replay give the same bytes.
+The outputs depend only on the received messages and the events (configuration, map in force, report). The
+log records both in order, so a replay gives the same bytes.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ Sink = Callable[[Encoded], None]
 class Session:
     """A monitor with its events and its encoded output.
 
-    The sink takes every result and event, in order. The node's full name is for its parameter events and
-    diagnostics, the full names of its topics for the log: it may be that they are remapped. `lag` is the most
-    that a message came after its stamp since the last report [s], live alone.
+    `sink` takes every result and event, in order. `node` is the node's full name for its parameter events
+    and diagnostics. `topics` has the full names of its topics for the log, because they may be remapped.
+    `lag` is the largest delay of a message after its stamp since the last report [s], only in a live run.
     """
 
     def __init__(
@@ -66,11 +66,11 @@ class Session:
         )
 
     def start(self, now: int) -> None:
-        """Record the configuration that the session begins with, at a time [ns]."""
+        """Record the initial configuration of the session at a time [ns]."""
         self._configuration(now, dict(self.config.flat), _models(self.config), new=True)
 
     def start_again(self, now: int) -> None:
-        """Record configuration, maps and all that is known: a replay can begin here, and all goes on."""
+        """Record configuration, maps and state, so that a replay can begin here; the session continues."""
         self.monitor.begin_window()
         self.start(now)
         for name, joint in self.monitor.joints.items():
@@ -81,17 +81,17 @@ class Session:
         self._event(now, "state", monitor=carried(self.monitor))
 
     def carry_on(self, now: int, state: Mapping[str, Any]) -> None:
-        """Go on from what another session of this configuration knew; ValueError where it did not."""
+        """Continue from the state of another session of this configuration; ValueError if it does not fit."""
         carry_on(self.monitor, state)
         self._event(now, "state", monitor=state)
 
     def joint_state(
         self, received: int, data: bytes, heard: int | None = None, reader: Reader | None = None
     ) -> None:
-        """Take one message in CDR that arrived at a time [ns]; one that cannot be read is counted.
+        """Take one message in CDR that arrived at a time [ns]; an unreadable message is counted.
 
-        `heard` is the same time by the clock that is asked for silence [ns]; the reader is that of its topic,
-        by default of one with joint states.
+        `heard` is the same time by the clock that measures silence [ns]. `reader` is the reader of the
+        message's topic, by default for joint states.
         """
         heard_at = None if heard is None else np.array([heard])
         self.messages(np.array([received]), [(reader or self._usual, data)], heard_at)
@@ -99,7 +99,7 @@ class Session:
     def messages(
         self, received: Times, taken: Sequence[tuple[Reader, bytes]], heard: Times | None = None
     ) -> None:
-        """Take messages in CDR, each with the reader of its topic; many give what one by one do.
+        """Take messages in CDR, each with the reader of its topic; same result as one by one.
 
         `received` and `heard` are (n,) [ns].
         """
@@ -120,7 +120,7 @@ class Session:
         refused: Sequence[tuple[int, str]],
         rows: slice,
     ) -> Errors:
-        """Take some rows of messages, as `Monitor.errors`; a temperature in them is valid for all of them."""
+        """Take some rows of messages, as `Monitor.errors`; their last temperature applies to all of them."""
         every = (states.between(rows.start, rows.stop) for states in shapes)
         here = [states for states in every if states.row.size]
         bad = [(row - rows.start, why) for row, why in refused if rows.start <= row < rows.stop]
@@ -134,7 +134,7 @@ class Session:
         self._publish(self.monitor.publications(received, errors))
 
     def temperature(self, joint: str, data: bytes) -> None:
-        """Take a Temperature message in CDR."""
+        """Take a Temperature message in CDR; an unreadable message is rejected."""
         try:
             value = read_temperature(data)
         except ValueError as error:
@@ -143,9 +143,9 @@ class Session:
             self.monitor.temperature(joint, value)
 
     def configure(self, now: int, config: Config) -> list[str]:
-        """Put another configuration in force from the next message on, at a time [ns].
+        """Use another configuration from the next message on, at a time [ns].
 
-        Returned are the joints that need another map, because their mesh or its largest torque has changed.
+        Returns the joints that need a new map, because their mesh or its largest torque has changed.
         """
         before = self.config
         changed = {name: value for name, value in config.flat.items() if before.flat.get(name) != value}
@@ -159,26 +159,26 @@ class Session:
         return [new.name for old, new in pairs if _map_needs(new) != _map_needs(old)]
 
     def use_map(self, now: int, joint: str, table: TorsionMap) -> bool:
-        """Predict a joint by its map from the next message on; False if its mesh has changed since."""
+        """Predict a joint with its map from the next message on; False if its mesh has changed since."""
         if not self.monitor.use_map(joint, table):
             return False
         self._event(now, "map", joint=joint, torque_limit=table.requested_limit)
         return True
 
     def pace(self, now: int, share: float) -> None:
-        """Publish a share of the per-tooth arrays and drawings from the next message on, at a time [ns]."""
+        """Publish only a share of per-tooth arrays and drawings from the next message on, at a time [ns]."""
         self.monitor.pace(share)
         self._event(now, "pace", share=share)
 
     def clock_set_back(self, now: int, stamp: int) -> None:
-        """Note at a time [ns] that the clock of stamps was set back: those after one [ns] are of before."""
+        """Note at a time [ns] that the clock of stamps was set back; stamps after `stamp` are from before."""
         self.monitor.clock_set_back(stamp)
         self._event(now, "clock", stamp=stamp)
 
     def tick(
         self, now: int, stamp: int, facts: Mapping[str, str], silence: Mapping[str, float] | None = None
     ) -> Sequence[Status]:
-        """Report on all joints, as `Monitor.tick`; give their statuses."""
+        """Report on all joints, as `Monitor.tick`; returns their statuses."""
         self.lag = math.nan
         report = self.monitor.tick(now, stamp, facts, silence or None)
         self._publish([report])
@@ -190,7 +190,7 @@ class Session:
         data = parameter_event(self._node, now, values, new)
         self._emit(PARAMETER_EVENTS, PARAMETER_EVENT, now, data)
         begun = {"topics": self._topics, "versions": dict(versions.running())} if new else {}
-        # The models' files may be others when the log is replayed.
+        # The model files may have changed when the log is replayed.
         self._event(now, "configuration", new=new, parameters=dict(values), **begun, models=dict(models))
 
     def _event(self, now: int, event: str, **fields: Any) -> None:
@@ -210,7 +210,7 @@ class Session:
 def _read(
     received: Times, taken: Sequence[tuple[Reader, bytes]]
 ) -> tuple[list[JointStates], list[tuple[int, str]]]:
-    """Columns of messages by their positions, and those that cannot be read, in order."""
+    """Columns of messages by position, and positions of unreadable messages with reasons; both in order."""
     rows: dict[Reader, list[int]] = {}
     for row, (reader, _) in enumerate(taken):
         rows.setdefault(reader, []).append(row)

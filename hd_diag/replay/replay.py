@@ -1,4 +1,4 @@
-"""The monitor over a recorded bag, in the bag's time, as fast as the machine goes."""
+"""Runs the monitor over a recorded bag, in the bag's time, as fast as the machine can."""
 
 from __future__ import annotations
 
@@ -29,25 +29,25 @@ from hd_diag.replay.sources import Sources, event_of, models_of, sources_of
 from hd_diag.streams.signals import temperature_changes
 
 _NANOSECONDS = 1_000_000_000
-_LONGEST_SILENCE = 60 * _NANOSECONDS  # of a bag, over which reports go on [ns]
+_LONGEST_SILENCE = 60 * _NANOSECONDS  # longest pause in a bag in which all reports are made [ns]
 _MAPS_KEPT = 4
 _FACTS = {"latency_p99_us": "nan", "log_state": "off"}
-_MOST_BYTES = 2 << 20  # that are published at once
-_ANGLES_SIZE, _ARRAYS_SIZE, _DRAWING_SIZE = 500, 10_000, 1 << 20  # of one joint, about [byte]
+_MOST_BYTES = 2 << 20  # most bytes published at once
+_ANGLES_SIZE, _ARRAYS_SIZE, _DRAWING_SIZE = 500, 10_000, 1 << 20  # approximate sizes for one joint [byte]
 
 Progress = Callable[[int, int], None]
 
 
 @dataclass
 class Replay:
-    """What a replay did.
+    """Result of a replay.
 
-    `reproduced`: the bag is the node's own log and its events were followed, not a given configuration.
-    Messages read and written; time from the first to the last of the bag [s]. By joint: samples that could
-    not be used and why the last of them, that are missing by the stamps, whose stamps are zero.
-    `problems`: what is wrong
-    with the bag, joints without a map, software of other versions than the log's. `joints` had samples;
-    `absent` had none, with what the bag has instead.
+    `reproduced`: the bag is the node's own log, and the replay followed its events without a configuration.
+    `messages` and `written` are the numbers of messages read and written, `duration` is the time from the
+    bag's first to its last message [s]. By joint: samples `rejected` and the reason for the last, samples
+    `missed` according to the stamps, and samples with zero stamps. `problems`: damage of the bag, joints
+    without a map, software versions that differ from the log's. `joints` had samples. `absent` joints had
+    none; their texts say what the bag has instead.
     """
 
     reproduced: bool
@@ -80,25 +80,25 @@ def replay(
         Bag of any storage that rosbag2 has, or the node's own log.
     out : path
         Bag to write: inputs, outputs and events, as in the node's log. After an error it is left without its
-        end, so that no reader takes it for whole; a bag that it would replace stays as it was.
+        end, so that no reader takes it for whole; a bag that it would replace stays unchanged.
     config : Config, optional
-        Without it the bag must be a node's log: its configuration, and every change of it, is followed, and
-        the outputs are those of the live run, to the last bit where the software has the same versions.
+        Without it the bag must be a node's log. The replay then follows its configuration and every change
+        of it. The outputs equal those of the live run to the last bit if the software versions are the same.
     topics : tuple of str, optional
-        Topics with joint states; by default all but a node's outputs.
+        Topics with joint states; by default the input of a log, otherwise all except for a node's outputs.
     overwrite : bool, optional
     progress : callable, optional
-        Called with the messages read so far and their number; a KeyboardInterrupt finishes a new output.
+        Called with the messages read so far and in all; a KeyboardInterrupt finishes a new output.
 
     Raises
     ------
     BagError
-        Where the bag cannot be read, holds no joint states or events, or the output cannot be written.
+        If the bag cannot be read, holds no joint states or events, or the output cannot be written.
     ConfigError
-        Where a recorded configuration cannot be used.
+        If a recorded configuration cannot be used.
     """
     check_output(out, bag)
-    # Whatever numbers a bag holds, what they give is in the outputs: no warnings beside them.
+    # No numpy warnings: the outputs show the result for whatever numbers a bag holds.
     with BagReader(bag) as reader, np.errstate(all="ignore"):
         sources = sources_of(reader, config, topics)
         prepare(config or resolve({}))
@@ -114,7 +114,7 @@ def replay(
 
 
 class _Run:
-    """State of a replay: a session fed with batches, its results written."""
+    """A running replay: feeds a session with batches and writes its results."""
 
     def __init__(self, reader: BagReader, writer: BagWriter, sources: Sources) -> None:
         self.done = 0
@@ -122,7 +122,7 @@ class _Run:
         self._session: Session | None = None
         self._last = 0
         self._next_report: int | None = None
-        # Some maps are kept for a parameter that is set back; nothing else is to be done before one is there.
+        # Keeps maps in case a parameter is set back. Two threads build, because the replay waits for a map.
         self._build = lru_cache(_MAPS_KEPT)(partial(build, threads=2))
         self._problems: list[str] = []
         for topic in reader.topics:
@@ -156,7 +156,7 @@ class _Run:
         self.done += mixed.log_time.size
 
     def _joint_states(self, mixed: Mixed) -> None:
-        """Take joint states; the reports that are due between them stand before them in the output."""
+        """Take joint states in parts; reports that are due within a part precede it in the output."""
         shapes, refused = self._sources.topics.columns(mixed)
         session, cuts = self._running, temperature_changes(shapes)
         for whole in self._parts(mixed.log_time):
@@ -168,7 +168,7 @@ class _Run:
             session.publish(mixed.log_time[whole], together(found))
 
     def result(self) -> Replay:
-        """Account of the whole replay, with a last report."""
+        """Make a last report and return the result of the replay."""
         session = self._running
         if self._next_report is not None:
             session.tick(self._last, self._last, _FACTS)
@@ -205,7 +205,7 @@ class _Run:
             )
 
     def _parts(self, times: Times) -> Iterator[slice]:
-        """Rows to publish at once, by the size of what the node publishes of them."""
+        """Slices of rows to publish at once, limited by the size of their outputs."""
         config, begin = self._running.config, 0
         rates = config.array_rate * _ARRAYS_SIZE + config.mesh_rate * _DRAWING_SIZE
         bytes_of_each = _MOST_BYTES / max(1, len(config.joints))
@@ -218,7 +218,7 @@ class _Run:
             begin = end
 
     def _between_reports(self, times: Times, whole: slice, cuts: Integers) -> Iterator[slice]:
-        """Parts of some rows, with the reports that are due before each: up to the next report, or a cut."""
+        """Slices of `whole` up to the next report or cut; makes the reports that are due before each."""
         begin = whole.start
         while begin < whole.stop:
             end = max(begin + 1, int(np.searchsorted(times, self._report_until(int(times[begin])))))
@@ -227,9 +227,9 @@ class _Run:
             begin = end
 
     def _report_until(self, now: int) -> int:
-        """Make the reports that are due up to a log time; the time of the next [ns]. A log holds its own.
+        """Make the reports due up to a log time; returns the time of the next [ns]. A log has its own.
 
-        A long silence has but its last.
+        After a long silence only the last report is made.
         """
         if self._sources.events:
             return LAST_TIME
@@ -298,7 +298,7 @@ class _Run:
             self._running.configure(now, config)
 
     def _compare(self, recorded: versions.Versions) -> None:
-        """Note once which software may change the last bits."""
+        """Note once which software versions differ, because they may change the last bits."""
         if other := versions.differences(recorded):
             what = f"was recorded with {other}: outputs may differ by rounding"
             self._problems = [*dict.fromkeys([*self._problems, str(BagError(self._reader.path, what))])]
@@ -311,7 +311,7 @@ class _Run:
             raise BagError(self._reader.path, f"{joint.name} has no map: {error}") from error
 
     def _use_own_map(self, now: int, joint: JointConfig) -> None:
-        """Predict a joint by its map; without one the predictions stay exact, as in the node."""
+        """Predict a joint with its map; without one the predictions stay exact, as in the node."""
         try:
             table = self._map(joint, map_limit(joint))
         except BagError as error:

@@ -1,4 +1,4 @@
-"""Which topics of a bag a replay takes in: what the node's log says, or what there is of joint states."""
+"""Topics of a bag that a replay reads: those of the node's log, or those with joint states."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from hd_diag.replay.events import Event, read_event
 from hd_diag.replay.recorded_monitor import EVENTS
 
 NODE = "/hd_diag"
-"""Full name that a node has by default."""
+"""Default full name of a node."""
 
 
 @dataclass(frozen=True)
 class Sources:
-    """Topics by their names in the bag.
+    """Topics for a replay by their names in the bag.
 
-    Full name of the node that wrote the bag, or whose part is played; topic of the events, empty where a
-    configuration is given; the topics that are taken in; full names of the node's topics, by their names in
-    `messages`.
+    `node` is the full name of the node that wrote the bag, or that the replay plays. `events` is the topic of
+    the events, empty if a configuration is given. `topics` are the topics to read. `names` maps the names of
+    the node's topics in `messages` to their full names.
     """
 
     node: str
@@ -39,10 +39,11 @@ class Sources:
 
 
 def sources_of(reader: BagReader, config: Config | None, topics: tuple[str, ...]) -> Sources:
-    """Topics for a replay with a configuration, or with None as the log has it.
+    """Topics for a replay with a configuration, or with that of the log if it is None.
 
-    Without topics with joint states all are taken but a node's outputs. BagError where there is no log and no
-    configuration, or no joint state; ConfigError where the log's joints cannot be.
+    Empty `topics` mean the node's input of a log, or with a configuration all joint states except for a
+    node's outputs. Raises BagError if there is no log and no configuration, or no joint state; ConfigError if
+    the log's joints are invalid.
     """
     if missing := set(topics) - {t.name for t in reader.topics if t.type_name == JOINT_STATE}:
         raise BagError(reader.path, f"has no topic {min(missing)} with {JOINT_STATE}; {held(reader)}")
@@ -53,7 +54,7 @@ def sources_of(reader: BagReader, config: Config | None, topics: tuple[str, ...]
 
 
 def event_of(path: Path, data: bytes) -> Event:
-    """Event of a log, as `read_event`; BagError where it cannot be used."""
+    """Event of a log, as `read_event`; BagError if it cannot be used."""
     try:
         return read_event(data)
     except ValueError as error:
@@ -61,7 +62,7 @@ def event_of(path: Path, data: bytes) -> Event:
 
 
 def models_of(event: Event, known: Iterable[JointConfig]) -> ModelText:
-    """Model files as a log holds them, whatever lies at their paths now."""
+    """Function that returns the model files in the log, not those at their paths now."""
     texts: dict[str, str] = {joint.name: joint.model_text for joint in known if joint.model} | event["models"]
 
     def recorded(joint: str, path: str) -> str:
@@ -89,7 +90,7 @@ def _of_log(reader: BagReader, topics: tuple[str, ...]) -> Sources:
 
 
 def _log(reader: BagReader) -> tuple[str, Event]:
-    """Topic of the events of the node that wrote the bag, and the first of them."""
+    """Topic of the events of the node that wrote the bag, and the first event."""
     suffix = EVENTS[1:]
     names = [t.name for t in reader.topics if t.type_name == STRING and t.name.endswith(suffix)]
     reason = "is no log of the node, so a configuration is needed (--config), such as hd-diag gear writes"

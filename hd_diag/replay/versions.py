@@ -15,7 +15,7 @@ Versions = Mapping[str, str | None]
 
 
 def running() -> Versions:
-    """Versions of this package and of what it computes with."""
+    """Versions of this package and of the software that it computes with."""
     return {
         "hd_diag": hd_diag.__version__,
         "python": platform.python_version(),
@@ -26,7 +26,7 @@ def running() -> Versions:
 
 
 def differences(recorded: Versions) -> str:
-    """Which of the recorded versions are not the running ones, as text; empty where none differs."""
+    """Text on the recorded versions that differ from the running ones; empty if none differs."""
     here = running()
     return ", ".join(
         f"{name} {version or 'absent'} (here {here[name] or 'absent'})"

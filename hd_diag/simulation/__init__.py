@@ -1,4 +1,4 @@
-"""Simulated robot joints: what encoders and torque sensor report during a test motion, and bags of it."""
+"""Simulated robot joints: readings of encoders and torque sensor during a test motion, and bags of them."""
 
 from hd_diag.simulation.bag import write_bag
 from hd_diag.simulation.joint import START, Noise, Samples, SimulatedJoint, simulate

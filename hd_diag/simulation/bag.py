@@ -18,7 +18,7 @@ from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.simulation.joint import CHUNK, START, Samples, SimulatedJoint, map_for, parts
 from hd_diag.simulation.motion import SECOND, Motion
 
-# Warming of a joint at work, first order: small enough to be any size-25 joint's.
+# First-order warming of a joint at work, small enough for any joint of size 25.
 _AMBIENT, _RISE, _WARMING_TIME = 25.0, 8.0, 300.0  # [degree Celsius], [K], [s]
 
 
@@ -43,16 +43,16 @@ def write_bag(
     path : path
         ``*.mcap`` is one file, anything else a rosbag2 folder.
     config, truths
-        Names in JointState, and the joints to simulate by their names in `config`: all as configured and
-        without noise where there are none. A generator of noise is spawned for each.
+        Configuration with the names in JointState, and the joints to simulate by their names in `config`; by
+        default all as configured and without noise. `rng` spawns a generator of noise for each.
     start : int
         Stamp of the first sample [ns]; `chunk` samples are computed and written at a time.
     overwrite : bool
-        Replace a bag that exists, once the new one is whole: after an error or Ctrl-C it is as it was.
+        Replace an existing bag once the new one is whole; after an error or Ctrl-C it is unchanged.
     mapped, progress : callable
-        Called with the fraction done of the maps that a long motion needs; with the samples written and their
-        number. If it raises KeyboardInterrupt, a new bag is finished with what it has; after an error it is
-        left without its end.
+        `mapped` is called with the finished fraction of the maps that a long motion needs, `progress` with
+        the samples written and in all. If `progress` raises KeyboardInterrupt, a new bag is finished with
+        these samples; after an error it is left without its end.
 
     Raises
     ------
@@ -97,8 +97,8 @@ def temperature(time: Floats) -> Floats:
 def encode_samples(names: Sequence[str], ratios: Sequence[float], samples: Sequence[Samples]) -> Bytes:
     """JointState messages, one row of CDR for each sample.
 
-    Of each joint are given the input's name and the output's, the ratio, and samples, all at the same stamps.
-    The effort of an input, which no sensor measures, is 0.
+    `names` has the input's and the output's name of each joint, `ratios` its ratio, `samples` its samples;
+    all joints have the same stamps. The effort of an input is 0, because no sensor measures it.
     """
     position, velocity, effort = [], [], []
     for ratio, joint in zip(ratios, samples, strict=True):

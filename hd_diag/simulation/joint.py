@@ -1,6 +1,6 @@
-"""A simulated robot joint: what its encoders and torque sensor report while it runs through a motion.
+"""A simulated robot joint: readings of its encoders and torque sensor during a motion.
 
-A simulated joint is a drive, the noise of its sensors and, where wanted, a departure from the drive's model.
+A simulated joint has a drive, noise of its sensors and, optionally, a deviation from the drive's model.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.simulation.motion import SECOND, Motion, Setpoints
 
 START = 1_767_225_600_000_000_000
-"""Stamp of the first sample unless another is asked for: 2026-01-01T00:00:00Z [ns]."""
+"""Default stamp of the first sample: 2026-01-01T00:00:00Z [ns]."""
 
 CHUNK = 1000
-"""Samples at a time: the exact solution's arrays then stay in the cache."""
+"""Samples computed at a time, so that the exact solution's arrays stay in the processor's cache."""
 
-_EXACT_SAMPLES = 10_000  # beyond, building a map takes less time than the exact solution of every sample
+_EXACT_SAMPLES = 10_000  # for more samples, a map takes less time than exact solutions
 
 
 class Samples(NamedTuple):
-    """What a joint does or reports, each (n,): stamp [ns], angles [rad], velocity [rad/s], torque [N m]."""
+    """True or reported state of a joint (n,): stamp [ns], angles [rad], velocity [rad/s], torque [N m]."""
 
     stamp: Times
     input_angle: Floats
@@ -39,15 +39,16 @@ class Samples(NamedTuple):
 
 
 Alteration = Callable[[Samples], Samples]
-"""What a joint really does, from what its drive would do; called with consecutive parts, in order."""
+"""Converts samples of the ideal drive to those of the real joint; called with consecutive parts, in order."""
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of the sensors; raises ValueError naming the value that cannot be.
+    """Noise of the sensors; raises ValueError that names an invalid value.
 
-    Of the output angle, independent from sample to sample (`white`) and first-order autoregressive (`drift`,
-    with its correlation from one sample to the next) [rad rms]; of the reported torque, white [N m rms].
+    The output angle has noise that is independent from sample to sample (`white`), and first-order
+    autoregressive noise (`drift`, with its correlation from one sample to the next), both [rad rms]. The
+    reported torque has white noise [N m rms].
     """
 
     white: float = 0.0
@@ -66,10 +67,10 @@ class Noise:
 
 @dataclass(frozen=True)
 class SimulatedJoint:
-    """What a joint really is.
+    """A real joint.
 
-    A drive with noise, the `offset` of the output encoder's zero [rad], a departure from the drive's model,
-    which comes before the noise, and the share of a motion's torques that the joint is put under [-].
+    It has a drive, noise, and the `offset` of the output encoder's zero [rad]. `alter` is a deviation from
+    the drive's model, applied before the noise. `torque_share` scales a motion's torques [-].
     """
 
     drive: Drive
@@ -82,7 +83,7 @@ class SimulatedJoint:
 def map_for(
     joint: SimulatedJoint, motion: Motion, wanted: Callable[[float], bool] = lambda fraction: True
 ) -> TorsionMap | None:
-    """Map that a joint's long motion is simulated with; None where solving every sample takes less time.
+    """Map for the simulation of a joint's long motion; None if exact solutions take less time.
 
     For `wanted` see :func:`hd_diag.model.torsion_map.build`. Raises ValueError if the teeth cannot bear the
     motion's torque.
@@ -102,10 +103,10 @@ def parts(
     table: TorsionMap | None = None,
     chunk: int = CHUNK,
 ) -> Iterator[Samples]:
-    """What the joint reports from a stamp [ns] on, in consecutive parts of so many samples.
+    """Yield the joint's readings from a stamp [ns] on, in consecutive parts of `chunk` samples.
 
-    Without a map of its mesh every sample is solved exactly. Three generators are spawned of the one given:
-    the same state gives the same samples. Raises ValueError if the teeth cannot bear the motion's torque.
+    Without a map of its mesh every sample is solved exactly. `rng` spawns three generators, so the same state
+    of `rng` gives the same samples. Raises ValueError if the teeth cannot bear the motion's torque.
     """
     noise, motion = joint.noise, motion.under(joint.torque_share)
     white, drift, torque = rng.spawn(3)
@@ -122,7 +123,7 @@ def parts(
 
 
 def simulate(joint: SimulatedJoint, motion: Motion, rng: np.random.Generator, start: int = START) -> Samples:
-    """What the joint reports over a whole motion; see :func:`parts`."""
+    """The joint's readings over a whole motion; see :func:`parts`."""
     every = list(parts(joint, motion, rng, start, map_for(joint, motion)))
     return Samples(*(np.concatenate(column) for column in zip(*every, strict=True)))
 

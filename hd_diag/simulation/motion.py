@@ -17,7 +17,7 @@ _TURN = 2.0 * math.pi
 
 
 class Setpoints(NamedTuple):
-    """What a motion asks for, each (n,): input angle [rad], input velocity [rad/s], torque [N m]."""
+    """Setpoints of a motion, each (n,): input angle [rad], input velocity [rad/s], torque [N m]."""
 
     input_angle: Floats
     input_velocity: Floats
@@ -28,13 +28,13 @@ class Setpoints(NamedTuple):
 class Motion:
     """Runs at constant speed and torque from rest to rest, one for every direction, speed and torque.
 
-    The duration [s] is shared evenly by the runs. Speeds are of the input [rad/s], positive; torques are
-    those that the drive exerts on the link [N m]. All runs of one direction come first, so that the output
-    travels far; unless it is one way only, all are repeated backwards. Of a run, `ramp_share` is the part in
-    which speed and torque rise with minimum jerk, and again in which they fall, `rest_share` that at rest and
-    free of torque before it starts, and again after it has ended [-].
+    All runs have an equal share of the duration [s]. Speeds are those of the input [rad/s], positive; torques
+    are those that the drive exerts on the link [N m]. All forward runs come first, so that the output travels
+    far; with `both_directions` all are then repeated backwards. `ramp_share` is the part of a run in which
+    speed and torque rise with minimum jerk, and likewise the part in which they fall [-]. `rest_share` is the
+    part at rest and without torque before the start of a run, and likewise after its end [-].
 
-    Raises ValueError naming the value that cannot be.
+    Raises ValueError that names an invalid value.
     """
 
     duration: float = 60.0
@@ -89,7 +89,7 @@ class Motion:
         return start + elapsed
 
     def at(self, time: Floats) -> Setpoints:
-        """What the motion asks for at times since its start (n,) [s]; outside the joint is at rest."""
+        """Setpoints at times since the motion's start (n,) [s]; the joint is at rest before and after it."""
         velocity, torque = np.array(self.runs).T
         length = self.duration / velocity.size
         travelled = (1.0 - 2.0 * self.rest_share - self.ramp_share) * length * velocity
