@@ -26,6 +26,7 @@ from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 
 from hd_diag.bag import BagError, BagReader, BagWriter, recover
+from hd_diag.bag.mcap_chunk import Content, OnDisk
 from hd_diag.bag.mcap_scan import Scan
 from hd_diag.messages.schemas import Definition
 
@@ -439,3 +440,14 @@ def test_a_message_that_no_reader_would_take_is_lost_and_told(tmp_path, monkeypa
     path, _ = with_long_messages(long_message, tmp_path / "bag", "sqlite")
     report = recover(path, tmp_path / "saved.mcap")
     assert (report.complete, report.files[0].lost, report.counts) == (False, 2, {"/j": 300})
+
+
+def test_a_chunk_on_disk_is_taken_piece_by_piece():
+    content = np.random.default_rng(0).bytes(1_000_000)
+    disk = OnDisk(Content(iter([content]), len(content)))
+    disk.skip(300_000)
+    assert [disk.take(400_000), disk.take(400_000), disk.take(1)] == [
+        content[300_000:700_000],
+        content[700_000:],
+        b"",
+    ]

@@ -148,8 +148,10 @@ class OnDisk:
         self._next = place
 
     def take(self, size: int) -> bytes:
-        """Up to `size` bytes at the offset that `skip` set."""
-        return os.pread(self._file.fileno(), size, self._next)
+        """The next `size` bytes from the offset that `skip` set, or fewer at the end."""
+        found = os.pread(self._file.fileno(), size, self._next)
+        self._next += len(found)
+        return found
 
 
 def pieces(content: Content, keep: Callable[[bytes], None]) -> Iterator[tuple[int, int, Block]]:
