@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hd_diag.diagnosis.stamps import without_jitter
+from hd_diag.diagnosis.stamps import without_bursts, without_jitter
 
 RATE, COUNT = 500.0, 5000  # [Hz]
 EVEN = np.arange(COUNT) / RATE
@@ -61,3 +61,31 @@ JUMPS = np.sort(EVEN + np.random.default_rng(2).normal(0.0, 1.0 / RATE, COUNT))
 def test_other_stamps_stay(stamps, shown) -> None:
     """With jumps of half a step it is unknown which sample was taken when."""
     assert without_jitter(stamps, shown, ONE) is stamps
+
+
+IN_BURST = np.arange(COUNT) % 8
+BURSTS = EVEN - IN_BURST / RATE + 20e-6 * IN_BURST  # the recorder empties its buffer every eight rows
+PAUSED = BURSTS + 7.0 * (np.arange(COUNT) >= 2400)
+
+
+@pytest.mark.parametrize("stamps", [BURSTS, PAUSED], ids=["on and on", "with a pause"])
+def test_rows_stamped_in_bursts_were_sampled_evenly(stamps) -> None:
+    found, rows = without_bursts(stamps, angle(EVEN), ONE)
+    assert rows == 8.0
+    late = found - EVEN - 7.0 * (stamps > EVEN + 1.0)
+    assert np.ptp(late) < 1e-9
+
+
+def test_lost_rows_shift_times_by_less_than_a_burst() -> None:
+    found, _ = without_bursts(BURSTS[GAPS], angle(EVEN)[GAPS], ONE[GAPS])
+    assert np.max(np.abs(found - EVEN[GAPS])) < 8.0 / RATE
+    assert np.all(np.diff(found) > 0.2 / RATE)
+
+
+@pytest.mark.parametrize(
+    "stamps", [EVEN, jittered(), EVEN[GAPS], BURSTS], ids=["even", "jitter", "gaps", "bursts"]
+)
+def test_rows_that_were_sampled_at_their_stamps_keep_them(stamps) -> None:
+    found, rows = without_bursts(stamps, angle(stamps), ONE[: stamps.size])
+    assert found is stamps
+    assert rows == 0.0

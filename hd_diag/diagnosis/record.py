@@ -13,7 +13,7 @@ from hd_diag.diagnosis.blocks import unwrapped
 from hd_diag.diagnosis.noise import ORDER, bounds, numbered, spans
 from hd_diag.diagnosis.outliers import outliers, torque_outliers
 from hd_diag.diagnosis.smoothing import deviation, rate, smooth
-from hd_diag.diagnosis.stamps import UNTOLD, Stamps, by_clock, usual_step, without_jitter
+from hd_diag.diagnosis.stamps import UNTOLD, Stamps, by_clock, usual_step, without_bursts, without_jitter
 from hd_diag.diagnosis.torque_smoothing import SmoothedTorque, smoothed_torque
 from hd_diag.formatting import words
 from hd_diag.streams.no_torque import no_torque
@@ -228,6 +228,8 @@ def prepare(
     columns |= {"bag": bag, "reported_speed": reported_speed}
     columns = _kept(columns, usable)
     bag, output = columns["bag"], _unwrapped(columns["output_angle"], columns["bag"])
+    columns["time"], in_bursts = without_bursts(columns["time"], output, bag)
+    stamps = stamps._replace(in_bursts=in_bursts)
     segment = segments(columns["time"], bag, GAP_STEPS)
     _check_whole(segment)
     angle = _with_turns(columns["input_angle"], output, bag, segment, ratio)

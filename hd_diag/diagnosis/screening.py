@@ -142,7 +142,7 @@ def _other_units(record: Record, configured: Drive) -> Finding | None:
 
 def _lost_samples(record: Record) -> list[Finding]:
     """Findings about second publishers, missing torque, incomplete files, clocks, stamps and lost samples."""
-    refused, _, unpaired, set_back, problems, unstamped, others = record.stamps
+    refused, _, unpaired, set_back, problems, unstamped, others, _ = record.stamps
     found = [Finding("second_publisher", text, float(len(others)), "-", False) for text in others]
     if record.no_torque:
         text = f"the torque {record.no_torque}: it counts as not measured"

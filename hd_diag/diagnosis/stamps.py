@@ -1,4 +1,4 @@
-"""Samples before they become a record: refused, unpaired, or recorded after a clock was set back."""
+"""Samples before they become a record: refused, unpaired, in bursts, or after a clock was set back."""
 
 from __future__ import annotations
 
@@ -28,7 +28,9 @@ _PARTS = (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))  # of a second
 _MOVED = 0.1  # travel below which a speed is noise [rad]
 _CLOCK_WINDOW = 0.5  # time over which a clock runs evenly [s]
 _LEAST_JITTER = 1e-3  # rms, over the usual step
-_BETWEEN = 0.5  # share of the jitter in the angle below which sampling was even
+_BETWEEN = 0.5  # half-way between even sampling and sampling at the stamps
+_BETWEEN_BURSTS, _MANY = 5.5, 2  # usual steps that end a burst; mean rows in one
+_PAUSED = 2.0  # usual lengths of a burst, beyond which the recording paused
 
 
 def usual_step(time: Floats) -> float:
@@ -65,13 +67,45 @@ def without_jitter(time: Floats, angle: Floats, segment: Integers) -> Floats:
     return even if moved @ jitter < _BETWEEN * (jitter @ jitter) else time
 
 
+def without_bursts(time: Floats, angle: Floats, bag: Integers) -> tuple[Floats, float]:
+    """Times of sampling [s], (n,), and the rows in a burst; the stamps and 0 if they are in no bursts.
+
+    A recorder that empties a buffer stamps its rows together: some rows microseconds apart, then a pause.
+    They were sampled evenly if the angle moves within a burst about as much as from one burst to the next.
+
+    Parameters
+    ----------
+    time, angle : ndarray, shape (n,)
+        Stamps [s], and an angle that moves [rad].
+    bag : ndarray of int64, shape (n,)
+        Recording of each row, ascending.
+    """
+    step, change, same = usual_step(time), np.diff(time), np.diff(bag) == 0
+    begun = (change > _BETWEEN_BURSTS * step) | ~same
+    first = np.append(0, np.flatnonzero(begun) + 1)
+    count, inside = np.diff(np.append(first, time.size)), same[first[1:] - 1]
+    if time.size < _MANY * first.size or not inside.any():
+        return time, 0.0
+    period = np.diff(time[first])
+    pace = float(np.median((period / count[:-1])[inside]))
+    moved = np.abs(np.diff(angle))
+    within, across = moved[~begun], moved[begun & same]
+    if step > _BETWEEN * pace or within.mean() < _BETWEEN * across.mean():
+        return time, 0.0
+    usual = count * pace
+    paused = np.append(~inside | (period > _PAUSED * usual[:-1]), True)
+    length = np.where(paused, usual, np.append(period, 0.0))
+    row = np.arange(time.size) - np.repeat(first, count)
+    return np.repeat(time[first], count) + row * np.repeat(length / count, count), float(count.mean())
+
+
 class Stamps(NamedTuple):
     """Counts of samples that are in no record, and other problems of the stamps.
 
     In order: the number of refused samples and the reason of the last; output angles without an input angle
     at their stamp; how often the clock was set back within a recording; unfinished, damaged or missing files;
     messages with a stamp of zero, which get their time of reception; texts about rows of a second publisher,
-    which are left out.
+    which are left out; rows in a burst of stamps.
     """
 
     refused: int = 0
@@ -81,13 +115,14 @@ class Stamps(NamedTuple):
     problems: tuple[str, ...] = ()
     unstamped: int = 0
     others: tuple[str, ...] = ()
+    in_bursts: float = 0.0
 
     @property
     def reported(self) -> dict[str, Any]:
         """The fields by name, for JSON."""
         names = (
             *("refused", "last_refusal", "unpaired", "clock_set_back"),
-            *("problems", "stamps_zero", "second_publisher"),
+            *("problems", "stamps_zero", "second_publisher", "stamps_in_bursts"),
         )
         lists = {"problems": list(self.problems), "second_publisher": list(self.others)}
         return dict(zip(names, self, strict=True)) | lists
@@ -99,12 +134,18 @@ class Stamps(NamedTuple):
         refused = f"{count} left out, the last because: {self.reason}"
         broken = [self.broken] if self.problems else []
         received = [self.received] if self.unstamped else []
+        received += [self.burst] if self.in_bursts else []
         return [*broken, *received, *self.others, *([refused] if self.refused else [])]
 
     @property
     def received(self) -> str:
         """Message about stamps of zero."""
         return f"the stamps of {self.unstamped} messages are zero: the time of reception stands for them"
+
+    @property
+    def burst(self) -> str:
+        """Message about stamps in bursts."""
+        return f"the stamps come in bursts of {self.in_bursts:.0f} rows, which count as sampled evenly"
 
     def after(self, text: str) -> str:
         """A text, followed by the message about incomplete files unless it contains this already."""
@@ -133,7 +174,8 @@ class Stamps(NamedTuple):
         counts = self.unpaired + later.unpaired, self.set_back + later.set_back
         problems = tuple(dict.fromkeys(self.problems + later.problems))
         both = self.unstamped + later.unstamped, tuple(dict.fromkeys(self.others + later.others))
-        return Stamps(self.refused + later.refused, later.reason or self.reason, *counts, problems, *both)
+        refused, in_bursts = self.refused + later.refused, max(self.in_bursts, later.in_bursts)
+        return Stamps(refused, later.reason or self.reason, *counts, problems, *both, in_bursts)
 
 
 UNTOLD = Stamps()
