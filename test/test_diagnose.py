@@ -14,7 +14,7 @@ import pytest
 from challenge import records
 from cli_runner import ASSUMED, assert_one_line_error, hd_diag
 from click.testing import Result
-from joint_records import ARCSEC, columns, joint, prepared
+from joint_records import ARCSEC, NOISE, columns, joint, prepared
 from numpy.testing import assert_allclose
 from report_samples import RUN, diagnosed, diagnosis, eccentric, generated, known_to_the_command_line, made
 
@@ -36,6 +36,19 @@ def diagnosed_by(*arguments: object) -> Result:
 
 def slow(*values: object) -> Any:
     return pytest.param(*values, marks=pytest.mark.slow)
+
+
+def test_a_wave_of_two_lines_of_one_order_is_in_the_extended_model() -> None:
+    """Either line alone adds nothing beside the other, so they are judged together."""
+    wave, made = 10.0 * ARCSEC, columns()
+    made["output"] += wave * np.cos(2.0 * made["input"] + 0.4)
+    drive = joint(eccentricity__magnitude=12e-6, eccentricity__direction=0.6).drive
+    found = diagnose(prepared(made), drive, np.random.default_rng(0))
+    assert found.causes == ()
+    (line,) = found.larger
+    assert line.rms == pytest.approx(wave / np.sqrt(2.0), rel=0.1)
+    assert found.rms.refit > 2.0 * NOISE
+    assert found.rms.extended < 1.1 * NOISE
 
 
 @pytest.mark.parametrize(

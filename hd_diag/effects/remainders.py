@@ -52,7 +52,7 @@ class Remainder(Effect):
     """
 
     kind: Kind = "kinematic"
-    stage: Stage = Stage.NOWHERE
+    stage: Stage = Stage.REPORTED
     searched: bool = False
     standard: bool = True
     confused_with: tuple[str, ...] = ()
@@ -248,21 +248,22 @@ EVEN = Line(
     shape=lambda signals, low, high: turning(2.0 * signals.input_angle),
     order=2,
 )
-ORDERS = (
-    EVEN,  # first: if it suffices, the next line keeps its usual size
-    *(
-        Line(
-            name=f"line_{order}",
-            cause=f"A wave of {order} per input turn, which changes with the torque's magnitude.",
-            frame="input",
-            needs=("output_angle", "torque"),
-            source="couplings, encoders and lobes that are off as is usual",
-            quantities=_quantities(2 * (_HATS + _ODD), "rad", "N m"),
-            shape=_line(order),
-            order=order,
-        )
-        for order in LINES
-    ),
-)
+
+
+def _changing(order: int) -> Line:
+    return Line(
+        name=f"line_{order}",
+        cause=f"A wave of {order} per input turn, which changes with the torque's magnitude.",
+        frame="input",
+        needs=("output_angle", "torque"),
+        source="couplings, encoders and lobes that are off as is usual",
+        quantities=_quantities(2 * (_HATS + _ODD), "rad", "N m"),
+        shape=_line(order),
+        order=order,
+    )
+
+
+# The even line before the changing one of its order: if it suffices, the next line keeps its usual size.
+ORDERS = (_changing(1), EVEN, _changing(2), _changing(4))
 REMAINDERS = (TORQUE, LOOP, SPEED, PLACE, TIME, *ORDERS)
 """All remainders; a model file may hold each once."""

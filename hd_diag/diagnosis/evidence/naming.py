@@ -157,7 +157,7 @@ def own_part(fit: LinearisedFit, chosen: Chosen, others: Chosen, item: Item) -> 
     Parameters and other effects cannot reproduce this part. The slow share is the share of its variance in
     means over complete turns of the input.
     """
-    rest = left_by(fit, chosen, others, item)
+    rest = left_by(fit, chosen, others, (item,))
     own = float(np.std(rest))
     information = float(np.linalg.norm(fit.whiten(rest, fit.data.run)))
     rows, middle = fit.data.record.through, rest - rest.mean()
@@ -165,10 +165,10 @@ def own_part(fit: LinearisedFit, chosen: Chosen, others: Chosen, item: Item) -> 
     return own, own / max(information, 1e-300), 1.0 - min(within, 1.0)
 
 
-def left_by(fit: LinearisedFit, chosen: Chosen, others: Chosen, item: Item) -> Floats:
-    """A chosen effect's part (n,) [rad] less its fit by the parameters and other effects."""
-    place = fit.places(chosen)[chosen.index(item)]
-    part = fit.columns(*item) @ fit.fit(chosen)[0][place]
+def left_by(fit: LinearisedFit, chosen: Chosen, others: Chosen, items: Chosen) -> Floats:
+    """The part (n,) [rad] of some chosen effects less its fit by the parameters and other effects."""
+    beta, places = fit.fit(chosen)[0], fit.places(chosen)
+    part = fit.joined(items) @ np.concatenate([beta[places[chosen.index(item)]] for item in items])
     fixed = np.concatenate((fit.always(), fit.joined(others)), axis=1)
     white = fit.whiten(part, fit.data.run)
     moment = [one.T @ white for one in (fit.always_white, *(fit.white(*other) for other in others))]

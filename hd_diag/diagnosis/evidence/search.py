@@ -62,13 +62,12 @@ class Candidate(NamedTuple):
 def competes(fit: LinearisedFit, effect: Effect) -> bool:
     """Whether an effect can be judged. Effects that act through the torque need a measured torque.
 
-    Effects that the motion cannot prove compete as well if the torque is measured and they have a stage.
-    Otherwise we would name a lookalike.
+    Effects that the motion cannot prove compete as well if the torque is measured. Otherwise we would name a
+    lookalike.
     """
-    known = fit.data.source.has_torque
-    if fit.data.testable(effect)[0]:
-        return known or effect.stage != Stage.TORQUE
-    return known and effect.stage != Stage.NOWHERE
+    if fit.data.source.has_torque:
+        return True
+    return effect.stage != Stage.TORQUE and fit.data.testable(effect)[0]
 
 
 def is_searched(fit: LinearisedFit, effect: Effect) -> bool:

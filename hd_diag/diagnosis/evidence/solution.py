@@ -23,7 +23,7 @@ from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.present_effects import Item
 from hd_diag.effects.effect import Effect
 from hd_diag.effects.motor_current import MotorCurrent
-from hd_diag.effects.remainders import LOOP, ORDERS, Remainder
+from hd_diag.effects.remainders import LOOP, ORDERS, Line, Remainder
 
 _NEARLY_ALL = 0.99  # quantile of a function's size: few rows determine its extremes
 _CHANCE_SHARE = 3.0  # deducted per column of a wandering effect; noise alone gives 1
@@ -221,37 +221,57 @@ def _shared(best: Set) -> dict[str, Floats]:
 def part_of(fit: LinearisedFit, chosen: Chosen, item: Item, is_larger: bool) -> Floats:
     """A remainder's part in the error at fitted rows, about its mean (n,) [rad]; see :class:`Function`."""
     if is_larger:
-        part = left_by(fit, chosen, tuple(one for one in chosen if one != item), item)
+        own = chosen[_with_containing(chosen, chosen.index(item))]
+        part = left_by(fit, chosen, tuple(one for one in chosen if one not in own), own)
     else:
         part = fit.columns(*item) @ fit.fit(chosen)[0][fit.places(chosen)[chosen.index(item)]]
     return np.asarray(part - part.mean())
 
 
+def _with_containing(chosen: Chosen, index: int) -> slice:
+    """A remainder and those after it that contain it: a line that changes holds one that does not."""
+    last = index
+    while last + 1 < len(chosen) and _order(chosen[last + 1]) == _order(chosen[index]) > 0:
+        last += 1
+    return slice(index, last + 1)
+
+
+def _order(item: Item) -> int:
+    """Periods per input turn of a line; 0 for all others."""
+    return item[0].order if isinstance(item[0], Line) else 0
+
+
 def _functions(fit: LinearisedFit, chosen: Chosen, larger: Collection[str]) -> tuple[Function, ...]:
     """Numbers of the remainders among the chosen effects."""
-    beta, built = fit.fit(chosen)[0], fit.design(chosen)
+    beta, built, places = fit.fit(chosen)[0], fit.design(chosen), fit.places(chosen)
     found = []
-    for (effect, nonlinear), place in zip(chosen, fit.places(chosen), strict=True):
+    for index, (effect, nonlinear) in enumerate(chosen):
         if not isinstance(effect, Remainder):
             continue
-        part = part_of(fit, chosen, (effect, nonlinear), effect.name in larger)
+        some = _with_containing(chosen, index)
+        own, is_larger = places[some], any(one.name in larger for one, _ in chosen[some])
+        part = part_of(fit, chosen, (effect, nonlinear), is_larger)
         rms, most = float(np.std(part)), int(np.argsort(np.abs(part))[int(_NEARLY_ALL * (part.size - 1))])
         where = getattr(fit.signals, effect.follows)
-        foretold = 0.5 * TEMPER * float(built.held_out_gain(place)[0].sum())  # log odds
+        foretold = 0.5 * TEMPER * float(built.held_out_gain(slice(own[0].start, own[-1].stop))[0].sum())
         described = effect.lasting and rms >= LEAST_SIZE and foretold > ODDS
         found.append(
             Function(
                 effect,
                 nonlinear,
-                beta[place],
+                beta[places[index]],
                 rms,
                 float(abs(part[most])),
                 float(where[most]),
-                effect.name in larger and (effect is not LOOP or 2.0 * abs(part[most]) > USUAL_LOOP),
+                is_larger and (effect is not LOOP or 2.0 * abs(part[most]) > USUAL_LOOP),
                 described,
             )
         )
-    return tuple(found)
+    # Lines of one order are fitted together, so each alone describes nothing.
+    orders = {one.effect.order for one in found if one.is_described and isinstance(one.effect, Line)}
+    return tuple(
+        replace(one, is_described=one.is_described or _order((one.effect, ())) in orders) for one in found
+    )
 
 
 class _Numbers(NamedTuple):

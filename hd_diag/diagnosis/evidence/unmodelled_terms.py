@@ -53,7 +53,7 @@ class UnmodelledTerm(Effect):
     confused_with: tuple[str, ...] = ()
     source: str = "no cause is known"
     inspect: str = ""
-    stage: Stage = Stage.NOWHERE
+    stage: Stage = Stage.REPORTED
     shape: Shape = lambda signals: np.empty((signals.size, 0))
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
