@@ -301,7 +301,34 @@ UNCERTAIN = cause("torque_offset")
     ],
 )
 def test_what_a_new_joint_has_is_usual(made: Cause, usual: bool) -> None:
-    assert as_json(diagnosis(made), "joint_1")["causes"][0]["usual"] is usual
+    """In a joint beyond its accuracy, where no wave is usual for being a part of it."""
+    beyond = waved(60.0 * ARCSEC, np.random.default_rng(0)).record
+    found = dataclasses.replace(diagnosis(made), record=beyond)
+    assert as_json(found, "joint_1")["causes"][0]["usual"] is usual
+
+
+@pytest.mark.parametrize(
+    ("name", "of_gear"),
+    [
+        ("circular_spline_pitch", True),
+        ("flexspline_pitch", True),
+        ("circular_spline_form", True),
+        ("input_encoder_eccentricity", True),  # once per input turn, as a gear's own wave
+        ("tooth_damage", False),
+        ("output_runout", False),
+        ("bearing_passage", False),
+    ],
+)
+@pytest.mark.parametrize("amplitude", [20.0, 60.0])
+def test_a_wave_of_the_gear_is_usual_in_a_joint_within_its_accuracy(
+    name: str, of_gear: bool, amplitude: float
+) -> None:
+    """The catalogue's accuracy includes such waves: 40 arcsec peak to peak of 90 allowed, and 120."""
+    record = waved(amplitude * ARCSEC, np.random.default_rng(0)).record
+    found = dataclasses.replace(diagnosis(first(name, 1.0)), record=record)
+    told = as_json(found, "joint_1")
+    assert told["causes"][0]["usual"] is (of_gear and amplitude < 45.0)
+    assert (told["action"] == "nothing") is told["causes"][0]["usual"]
 
 
 def waved(amplitude: Any, rng: np.random.Generator, more: Any = 0.0) -> Diagnosis:

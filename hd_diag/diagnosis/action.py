@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 from scipy.special import ndtr
 
 from hd_diag.diagnosis.calibration import NAMED, NOTICED
-from hd_diag.diagnosis.judgement import Answer, Limited, is_usual
+from hd_diag.diagnosis.judgement import Answer, Limited
 from hd_diag.diagnosis.statements import ended, function_in_words, line_in_words, names_of
 from hd_diag.effects.remainders import ORDERS
 from hd_diag.formatting import percent, si, size, words
@@ -80,11 +80,11 @@ def _reasons(answer: Answer) -> Iterator[Reason]:
         if limited is not None and limited.place in ("beyond", "near"):
             yield _of_limit(limited)
     for cause in found.causes:
-        if not is_usual(cause):
+        if not answer.is_usual(cause):
             yield Reason("inspect", names_of(cause), cause.standing.probability)
     for hint in found.hints:
         likely = hint.standing.probability
-        if not is_usual(hint):
+        if not answer.is_usual(hint):
             yield Reason("watch", f"{names_of(hint)}, not proven", likely if likely < NAMED else math.nan)
     noticed = 0.5 * NOTICED * found.configured.accuracy  # half of a peak-to-peak value
     for one in found.larger:
@@ -121,7 +121,7 @@ def _all_within(answer: Answer) -> str:
     names = " and ".join(f"the {words(one.quantity)}" for one in limits)
     kept = "are within their limits" if len(limits) > 1 else "is within its limit"
     text = f"{names} {kept} ({_sure(min(1.0 - _beyond(one) for one in limits))})."
-    usual = ", ".join(names_of(cause) for cause in answer.diagnosis.causes if is_usual(cause))
+    usual = ", ".join(names_of(cause) for cause in answer.diagnosis.causes if answer.is_usual(cause))
     return f"{text} Usual for a new gear: {usual}." if usual else text
 
 

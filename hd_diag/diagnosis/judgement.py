@@ -39,12 +39,15 @@ _USUAL = {
 }
 """Largest values that a new joint may have; of several waves, the first one counts."""
 
+_OF_GEAR = ("circular_spline_pitch", "flexspline_pitch", "circular_spline_form", "input_encoder_eccentricity")
+"""Waves that a catalogue's accuracy includes: errors of the teeth, and a wave per input turn like theirs."""
+
 _FRICTION = ("coulomb_windup", "viscous_windup")
 """Causes that are usual up to the effect's usual size. Chosen: two per cent of the rated torque (1 N m in a
 joint of 56 N m), the drag of new bearings and seals."""
 
 
-def is_usual(cause: Cause) -> bool:
+def _is_usual(cause: Cause) -> bool:
     """Whether a new joint may have a cause of this size, that is, unless it certainly exceeds a usual size.
 
     If the record cannot distinguish it from others, it is usual if any of these would be usual in its place.
@@ -132,6 +135,14 @@ class Answer:
         if found.order_table or found.unexplained or found.hints or found.larger:
             return "described"
         return "parameters" if self.changes else "as_configured"
+
+    def is_usual(self, cause: Cause) -> bool:
+        """Whether a new joint may have a cause of this size.
+
+        A wave of the gear is usual in a joint that is within its accuracy.
+        """
+        within = self.normal is not None and self.normal.within is True
+        return _is_usual(cause) or (within and any(name in _OF_GEAR for name in cause.alike))
 
     @property
     def vague(self) -> bool:

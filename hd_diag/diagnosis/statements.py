@@ -15,7 +15,7 @@ from hd_diag.diagnosis.evidence.search import FURTHER_CAUSES
 from hd_diag.diagnosis.evidence.solution import Cause, Function
 from hd_diag.diagnosis.evidence.unexplained import Unexplained
 from hd_diag.diagnosis.fit.fit_parameters import direction_period
-from hd_diag.diagnosis.judgement import Answer, Change, first_words, is_usual
+from hd_diag.diagnosis.judgement import Answer, Change, first_words
 from hd_diag.effects.effect import Effect
 from hd_diag.effects.remainders import EVEN, Line
 from hd_diag.formatting import ARCSEC, arcsec, direction, si, spread_number, words
@@ -86,9 +86,9 @@ def _limits(diagnosis: Diagnosis) -> list[str]:
 def _causes(answer: Answer) -> list[str]:
     """Named causes, then hints; or why there are none."""
     found = answer.diagnosis
-    hints = [f"{_cause_in_words(cause)}: {found.doubt(cause)}" for cause in found.hints]
+    hints = [f"{_cause_in_words(answer, cause)}: {found.doubt(cause)}" for cause in found.hints]
     parts = {
-        "beside that": [*map(_cause_in_words, found.causes)],
+        "beside that": [_cause_in_words(answer, cause) for cause in found.causes],
         "nearest to it, though not to be named for it": hints,
     }
     if said := [f"{how}: {'; '.join(some)}" for how, some in parts.items() if some]:
@@ -171,9 +171,9 @@ def _describes(row: OrderRow, line: Unexplained) -> bool:
     return is_wave and math.isclose(line.order, row.order, rel_tol=_SAME_ORDER)
 
 
-def _cause_in_words(cause: Cause) -> str:
+def _cause_in_words(answer: Answer, cause: Cause) -> str:
     which = " (this record cannot tell which)" if len(cause.alike) > 1 else ""
-    usual = ", usual for a gear" if is_usual(cause) else ""
+    usual = ", usual for a gear" if answer.is_usual(cause) else ""
     return f"{names_of(cause)}{which}, {arcsec(cause.amplitude)} rms{usual}"
 
 

@@ -15,7 +15,7 @@ from hd_diag.diagnosis.evidence.solution import Cause, Function
 from hd_diag.diagnosis.evidence.unexplained import Unexplained
 from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.gain import Gain, Rms
-from hd_diag.diagnosis.judgement import Answer, is_usual
+from hd_diag.diagnosis.judgement import Answer
 from hd_diag.diagnosis.statements import motor_values, sentence, sentences, values_of
 from hd_diag.effects.remainders import ORDERS
 from hd_diag.formatting import ARCSEC, arcsec, json_ready, percent, percents, words
@@ -46,8 +46,8 @@ def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[
         "findings": [finding.__dict__ for finding in diagnosis.findings],
         "nominal": {"rms": rms.nominal},
         "refit": {"rms": rms.refit, "parameters": diagnosis.parameters, "trustworthy": trustworthy},
-        "causes": [*map(_finding, named), *map(_cause, diagnosis.causes)],
-        "hints": [*map(_cause, diagnosis.hints)],
+        "causes": [*map(_finding, named), *(_cause(answer, one) for one in diagnosis.causes)],
+        "hints": [_cause(answer, one) for one in diagnosis.hints],
         "unexplained": [_unexplained(line) for line in diagnosis.unexplained],
         "extended": {
             "rms": rms.extended,
@@ -126,7 +126,7 @@ def _remainder(one: Function) -> dict[str, Any]:
     }
 
 
-def _cause(cause: Cause) -> dict[str, Any]:
+def _cause(answer: Answer, cause: Cause) -> dict[str, Any]:
     effect, sizes = cause.effect, (cause.coefficients, cause.nonlinear)
     return {
         "name": effect.name,
@@ -135,7 +135,7 @@ def _cause(cause: Cause) -> dict[str, Any]:
         "amplitude": cause.amplitude,
         "gain": {"value": cause.gain, "low": cause.gain_low, "high": cause.gain_high},
         "probability": cause.standing.probability,
-        "usual": is_usual(cause),
+        "usual": answer.is_usual(cause),
         "p_value": cause.standing.chance,
         "explanation": effect.cause,
         "inspect": effect.inspect,
@@ -192,7 +192,7 @@ def summary(diagnosis: Diagnosis) -> list[str]:
         )
     if any(change.name == "eccentricity" for change in answer.changes):
         lines.append(f"direction: {_HOW_TO_FIND}")
-    lines += [f"inspect: {cause.effect.inspect}" for cause in diagnosis.causes if not is_usual(cause)]
+    lines += [f"inspect: {cause.effect.inspect}" for cause in diagnosis.causes if not answer.is_usual(cause)]
     untested = defaultdict[str, list[str]](list)
     for test in diagnosis.untestable:
         untested[test.reason].append(words(test.name))

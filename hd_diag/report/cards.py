@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from hd_diag.diagnosis.evidence.solution import Cause
 from hd_diag.diagnosis.fit.fit_parameters import direction_period
-from hd_diag.diagnosis.judgement import Answer, Beside, Limited, is_usual
+from hd_diag.diagnosis.judgement import Answer, Beside, Limited
 from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE
 from hd_diag.effects.quantity import Quantity
@@ -63,7 +63,7 @@ def cards(answer: Answer) -> list[Card]:
         Card(words(f.name).capitalize(), math.nan, f.text, (), advice.get(f.name, ""))
         for f in diagnosis.findings
     ]
-    found = [card for cause in diagnosis.causes if (card := _of_cause(cause, advice))]
+    found = [card for cause in diagnosis.causes if (card := _of_cause(answer, cause, advice))]
     kept = _kept(answer)
     by_title: dict[str, Card] = {}  # both compliances share a card
     if diagnosis.refitted is not None:
@@ -79,7 +79,7 @@ def _kept(answer: Answer) -> str:
     return "" if "beyond" in places or "near" in places else _WITHIN
 
 
-def _of_cause(cause: Cause, advice: Mapping[str, str]) -> Card | None:
+def _of_cause(answer: Answer, cause: Cause, advice: Mapping[str, str]) -> Card | None:
     """The card of a cause; None if all its sizes may be zero."""
     effect = cause.effect
     values = effect.to_physical(cause.coefficients, cause.nonlinear)
@@ -96,7 +96,7 @@ def _of_cause(cause: Cause, advice: Mapping[str, str]) -> Card | None:
         return None
     others = tuple((words(name), advice.get(name, "")) for name in cause.alike if name != effect.name)
     title = words(effect.name).capitalize()
-    usual = _USUAL if is_usual(cause) else ""
+    usual = _USUAL if answer.is_usual(cause) else ""
     return Card(title, cause.amplitude, effect.cause, tuple(measures), effect.inspect, others, usual=usual)
 
 
