@@ -27,9 +27,12 @@ _KNOTS = 12  # knots of the piecewise linear amplitude and phase of an effect th
 
 
 class Stage(IntEnum):
-    """Where an effect enters the chain from the torque through gear and spring to the samples."""
+    """Where an effect enters the chain from the torque through gear and spring to the samples.
 
-    NOWHERE = -1
+    ``REPORTED`` is a function of the reported signals, which no stage carries.
+    """
+
+    REPORTED = -1
     TORQUE = 0
     GEAR = 1
     SPRING = 2

@@ -23,7 +23,7 @@ State = tuple[Floats, Floats]
 class StreamDelay(Effect):
     """``theta_out(t - dt) - theta_out(t)``, to first order ``-dt (omega_o + dTE/dt)``.
 
-    What the output will do is not known: a negative delay stays first order.
+    As the model runs, later samples are unknown, so a negative delay stays first order there.
     """
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
@@ -37,15 +37,16 @@ class StreamDelay(Effect):
         a delay.
         """
         delay, found = float(coefficients[0]), np.asarray(self.columns(signals, nonlinear) @ coefficients)
-        if delay > 0.0 and signals.size > 1:
-            angle = signals.output_angle + signals.predicted
+        if delay and signals.size > 1:
+            angle, time = signals.output_angle + signals.predicted, signals.time
             points, weights = _late(signals, delay)
-            begun = np.concatenate([signals.time[run] - signals.time[run][:1] for run in signals.runs()])
+            ends = (-1, 0)[delay > 0.0]  # of a run, beyond which nothing is known
+            known = np.concatenate([np.abs(time[run] - time[run][ends]) for run in signals.runs()])
             # Do not interpolate across gaps where rows of a long record were left out.
             span = signals.time[points[:, -1]] - signals.time[points[:, 0]]
             near = span < MISSING_STEPS * np.median(np.diff(signals.time))
             late = np.sum(weights * angle[points], axis=1) - angle
-            found = np.where((begun >= delay) & near, late, found)
+            found = np.where((known >= abs(delay)) & near, late, found)
         return found
 
     def start(self, nonlinear: Values) -> State:

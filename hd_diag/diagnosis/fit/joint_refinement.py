@@ -156,7 +156,7 @@ def covariance(fit: LinearisedFit, chosen: Chosen) -> tuple[Floats, list[npt.NDA
         inner = np.full(len(nonlinear), -1)
         for index in free(effect):
             inner[index], last = last, last + 1
-        own = place.stop if effect.stage == Stage.NOWHERE else place.start + effect.size
+        own = place.stop if effect.stage == Stage.REPORTED else place.start + effect.size
         places.append(np.concatenate((np.arange(place.start, own), inner)))
     beta, spread, built = fit.fit(chosen, slopes(fit, chosen))
     return spread * np.multiply.outer(*[_wider(fit, beta, spread, built)] * 2), places

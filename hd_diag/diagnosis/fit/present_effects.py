@@ -23,7 +23,7 @@ Sized = tuple[tuple[Item, Floats], ...]
 
 def plain(effect: Effect) -> bool:
     """Whether an effect is its columns times its coefficients, at any size and with other plain effects."""
-    return effect.proportional and not effect.own_slopes and effect.stage in (Stage.NOWHERE, Stage.GEAR)
+    return effect.proportional and not effect.own_slopes and effect.stage in (Stage.REPORTED, Stage.GEAR)
 
 
 def names(chosen: tuple[Item, ...]) -> Hashable:
@@ -80,7 +80,7 @@ class PresentEffects:
     def residual(self) -> Floats:
         """The same less the full-size response of present effects beyond their columns [rad], shape (n,)."""
         # Plain effects without a stage cancel: they see the reported record, and equal their columns.
-        more = tuple(one for one in self.present if not plain(one[0][0]) or one[0][0].stage != Stage.NOWHERE)
+        more = tuple(one for one in self.present if not plain(one[0][0]) or one[0][0].stage != Stage.REPORTED)
 
         def corrected() -> Floats:
             first = [self.columns(*item) @ coefficients for item, coefficients in more]
@@ -189,7 +189,8 @@ class PresentEffects:
 
     def _of_motion(self, effect: Effect) -> bool:
         """Whether the columns depend on neither contact nor prediction."""
-        apart = effect.stage in (Stage.NOWHERE, Stage.GEAR) and not (effect.of_teeth or self._later)
+        carried = bool(self._later) and self._sees_all(effect)
+        apart = effect.stage in (Stage.REPORTED, Stage.GEAR) and not (effect.of_teeth or carried)
         return apart and not any("predicted" in name for name in effect.needs)
 
     def _size_of(self, effect: Effect, nonlinear: Values) -> Floats | None:
