@@ -62,8 +62,6 @@ def write_bag(
     """
     if Path(path).exists() and not overwrite:
         raise BagError(path, "exists already")
-    if Path(path).exists() and not overwrite:
-        raise BagError(path, "exists already")
     configured = {joint.name: joint for joint in config.joints}
     truths = truths or {name: SimulatedJoint(joint.drive) for name, joint in configured.items()}
     for name in truths.keys() - configured.keys():
