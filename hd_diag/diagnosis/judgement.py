@@ -11,7 +11,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.accuracy import WHOLE_TURN, Accuracy, accuracy
-from hd_diag.diagnosis.calibration import ANOTHER, CERTAIN_SIZE, MISFIT, TWO_SIDED, USUAL_LOOP
+from hd_diag.diagnosis.calibration import ANOTHER, CERTAIN_SIZE, LEAST_SIZE, MISFIT, TWO_SIDED, USUAL_LOOP
 from hd_diag.diagnosis.diagnosis import Diagnosis, parameter_sizes
 from hd_diag.diagnosis.evidence.solution import Cause
 from hd_diag.effects.effect import Effect
@@ -139,8 +139,10 @@ class Answer:
     def is_usual(self, cause: Cause) -> bool:
         """Whether a new joint may have a cause of this size.
 
-        A wave of the gear is usual in a joint that is within its accuracy.
+        A wave of the gear is usual in a joint that is within its accuracy, and so is all below `LEAST_SIZE`.
         """
+        if cause.standing.own < LEAST_SIZE:
+            return True
         within = self.normal is not None and self.normal.within is True
         return _is_usual(cause) or (within and any(name in _OF_GEAR for name in cause.alike))
 

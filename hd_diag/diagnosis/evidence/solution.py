@@ -221,45 +221,57 @@ def _shared(best: Set) -> dict[str, Floats]:
 def part_of(fit: LinearisedFit, chosen: Chosen, item: Item, is_larger: bool) -> Floats:
     """A remainder's part in the error at fitted rows, about its mean (n,) [rad]; see :class:`Function`."""
     if is_larger:
-        own = chosen[_with_containing(chosen, chosen.index(item))]
+        own = _of_one_order(chosen, item)
         part = left_by(fit, chosen, tuple(one for one in chosen if one not in own), own)
     else:
         part = fit.columns(*item) @ fit.fit(chosen)[0][fit.places(chosen)[chosen.index(item)]]
     return np.asarray(part - part.mean())
 
 
-def _with_containing(chosen: Chosen, index: int) -> slice:
-    """A remainder and those after it that contain it: a line that changes holds one that does not."""
-    last = index
-    while last + 1 < len(chosen) and _order(chosen[last + 1]) == _order(chosen[index]) > 0:
-        last += 1
-    return slice(index, last + 1)
+def _of_one_order(chosen: Chosen, item: Item) -> Chosen:
+    """All lines of the same order among the chosen effects; of what is no line, itself."""
+    effect = item[0]
+    if not isinstance(effect, Line):
+        return (item,)
+    return tuple(one for one in chosen if isinstance(one[0], Line) and one[0].order == effect.order)
 
 
-def _order(item: Item) -> int:
-    """Periods per input turn of a line; 0 for all others."""
-    return item[0].order if isinstance(item[0], Line) else 0
+def _told(fit: LinearisedFit, chosen: Chosen, larger: Collection[str]) -> set[str]:
+    """Names of the remainders larger than usual; of lines of one order, which add up, only one.
+
+    That is the line that changes with the torque if its change is large enough to be told, else the even one.
+    """
+    names = set[str]()
+    for item in (one for one in chosen if one[0].name in larger):
+        first, last = (own := _of_one_order(chosen, item))[0], own[-1]
+        others = tuple(one for one in chosen if one != last)
+        changes = last[0].name in larger and np.std(left_by(fit, chosen, others, (last,))) >= LEAST_SIZE
+        names.add(last[0].name if changes or first == last else first[0].name)
+    return names
 
 
 def _functions(fit: LinearisedFit, chosen: Chosen, larger: Collection[str]) -> tuple[Function, ...]:
     """Numbers of the remainders among the chosen effects."""
-    beta, built, places = fit.fit(chosen)[0], fit.design(chosen), fit.places(chosen)
+    beta, built = fit.fit(chosen)[0], fit.design(chosen)
+    places, told = dict(zip(chosen, fit.places(chosen), strict=True)), _told(fit, chosen, larger)
     found = []
-    for index, (effect, nonlinear) in enumerate(chosen):
+    for item in chosen:
+        effect, own = item[0], _of_one_order(chosen, item)
         if not isinstance(effect, Remainder):
             continue
-        some = _with_containing(chosen, index)
-        own, is_larger = places[some], any(one.name in larger for one, _ in chosen[some])
-        part = part_of(fit, chosen, (effect, nonlinear), is_larger)
+        is_larger = effect.name in told
+        # Together with a larger line of its order, and told of that.
+        within = any(one.name in told for one, _ in own) and not is_larger
+        part = part_of(fit, chosen, item, is_larger) * (not within)
         rms, most = float(np.std(part)), int(np.argsort(np.abs(part))[int(_NEARLY_ALL * (part.size - 1))])
         where = getattr(fit.signals, effect.follows)
-        foretold = 0.5 * TEMPER * float(built.held_out_gain(slice(own[0].start, own[-1].stop))[0].sum())
-        described = effect.lasting and rms >= LEAST_SIZE and foretold > ODDS
+        gain = built.held_out_gain(slice(places[own[0]].start, places[own[-1]].stop))[0]
+        described = effect.lasting and rms >= LEAST_SIZE and 0.5 * TEMPER * float(gain.sum()) > ODDS
         found.append(
             Function(
                 effect,
-                nonlinear,
-                beta[places[index]],
+                item[1],
+                beta[places[item]],
                 rms,
                 float(abs(part[most])),
                 float(where[most]),
@@ -267,11 +279,13 @@ def _functions(fit: LinearisedFit, chosen: Chosen, larger: Collection[str]) -> t
                 described,
             )
         )
-    # Lines of one order are fitted together, so each alone describes nothing.
-    orders = {one.effect.order for one in found if one.is_described and isinstance(one.effect, Line)}
-    return tuple(
-        replace(one, is_described=one.is_described or _order((one.effect, ())) in orders) for one in found
-    )
+    in_model = {
+        one
+        for each in found
+        if each.is_described
+        for one in _of_one_order(chosen, (each.effect, each.nonlinear))
+    }
+    return tuple(replace(one, is_described=(one.effect, one.nonlinear) in in_model) for one in found)
 
 
 class _Numbers(NamedTuple):

@@ -83,14 +83,15 @@ class Remainder:
     def of(fit: LinearisedFit, chosen: Chosen, described: Collection[str] = ()) -> Remainder:
         """Residual of a fit with the chosen effects, with lines of unknown cause added back.
 
-        Lines that any gear has are added back if `described` names them: those larger than usual.
+        Lines that any gear has are added back if `described` names one of their order: those larger than usual.
         """
+        orders = {item[0].order for item in chosen if isinstance(item[0], Line) and item[0].name in described}
         s, beta = fit.signals, fit.fit(chosen)[0]
         known = tuple(item for item in chosen if not _is_line(item[0]))
         beside = np.concatenate((fit.always(), fit.joined(known)), axis=1)
         residual, lines = fit.remainder(chosen), []
         for item, place in zip(chosen, fit.places(chosen), strict=True):
-            if not _is_line(item[0]) or (isinstance(item[0], Line) and item[0].name not in described):
+            if not _is_line(item[0]) or (isinstance(item[0], Line) and item[0].order not in orders):
                 continue
             residual = residual + fit.columns(*item) @ beta[place]
             if isinstance(item[0], Line):
