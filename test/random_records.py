@@ -108,7 +108,7 @@ def _later(columns: Columns, rng: np.random.Generator) -> Columns:
 
 def _gaps(columns: Columns, rng: np.random.Generator) -> Columns:
     time = columns["t"].copy()
-    for at in rng.integers(0, time.size, int(rng.choice((1, 5, 200)))):
+    for at in rng.integers(0, max(time.size, 1), int(rng.choice((1, 5, 200)))):
         time[at:] += np.exp(rng.uniform(-5.0, 8.0))
     return _with(columns, "t", time)
 

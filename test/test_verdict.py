@@ -23,6 +23,7 @@ from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.refit import AMBIGUOUS, Refit
 from hd_diag.diagnosis.gain import Gain, Rms
 from hd_diag.diagnosis.judgement import Answer
+from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.statements import sentence, sentences
 from hd_diag.diagnosis.verdict import as_json, summary
 from hd_diag.effects import CATALOGUE
@@ -428,6 +429,17 @@ def test_what_is_larger_than_usual_is_said(effect: Remainder, said: str) -> None
     for made in (usual, tiny):
         assert "larger than usual" not in sentence(Answer(made))
         assert Answer(made).judgement == "parameters"
+
+
+@pytest.mark.parametrize(
+    ("effect", "record", "advised"),
+    [(SPEED, RECORD, True), (SPEED, BY_CURRENT, False), (TIME, RECORD, False)],
+)
+def test_a_part_that_follows_the_speed_may_be_a_motor_s_friction(
+    effect: Remainder, record: Record, advised: bool
+) -> None:
+    told = sentence(Answer(diagnosis(found=found(functions=(function(effect),)), record=record)))
+    assert ("if the torque was computed from its current, give the signal the unit A" in told) is advised
 
 
 def test_remainders_are_told_with_their_numbers_and_lines_stand_elsewhere() -> None:

@@ -297,11 +297,12 @@ def _held(input_angle: Floats, output: Floats, segment: Integers) -> Rows:
     repeated = inside & (change == 0.0)
     least = float(change[change > 0.0].min(initial=math.inf))
     fast = inside & (expected > _SEVERAL * least)
-    if np.count_nonzero(repeated & fast) <= _HELD_SHARE * np.count_nonzero(fast):
+    fresh = fast & ~repeated
+    if not fresh.any() or np.count_nonzero(repeated & fast) <= _HELD_SHARE * np.count_nonzero(fast):
         return np.zeros(output.size, bool)
     row = np.arange(output.size)
     since = row - np.maximum.accumulate(np.where(np.append(False, repeated), 0, row))
-    every = 1 + int(np.median(since[:-1][fast & ~repeated]))
+    every = 1 + int(np.median(since[:-1][fresh]))
     return np.asarray(since % every != 0)
 
 

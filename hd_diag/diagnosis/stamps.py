@@ -30,6 +30,7 @@ _CLOCK_WINDOW = 0.5  # time over which a clock runs evenly [s]
 _LEAST_JITTER = 1e-3  # rms, over the usual step
 _BETWEEN = 0.5  # half-way between even sampling and sampling at the stamps
 _BETWEEN_BURSTS, _MANY = 5.5, 2  # usual steps that end a burst; mean rows in one
+_AT_ONCE = 1e-4  # step of stamps below which samples were not taken one after the other [s]: 10 kHz
 _PAUSED = 2.0  # usual lengths of a burst, beyond which the recording paused
 
 
@@ -70,8 +71,8 @@ def without_jitter(time: Floats, angle: Floats, segment: Integers) -> Floats:
 def without_bursts(time: Floats, angle: Floats, bag: Integers) -> tuple[Floats, float]:
     """Times of sampling [s], (n,), and the rows in a burst; the stamps and 0 if they are in no bursts.
 
-    A recorder that empties a buffer stamps its rows together: some rows microseconds apart, then a pause.
-    They were sampled evenly if the angle moves within a burst about as much as from one burst to the next.
+    A recorder that empties a buffer stamps its rows together: some rows, closer than any joint is sampled,
+    then a pause. They were sampled evenly if the angle moves as much within a burst as from one to the next.
 
     Parameters
     ----------
@@ -90,7 +91,7 @@ def without_bursts(time: Floats, angle: Floats, bag: Integers) -> tuple[Floats, 
     pace = float(np.median((period / count[:-1])[inside]))
     moved = np.abs(np.diff(angle))
     within, across = moved[~begun], moved[begun & same]
-    if step > _BETWEEN * pace or within.mean() < _BETWEEN * across.mean():
+    if step > min(_AT_ONCE, _BETWEEN * pace) or within.mean() < _BETWEEN * across.mean():
         return time, 0.0
     usual = count * pace
     paused = np.append(~inside | (period > _PAUSED * usual[:-1]), True)
@@ -122,10 +123,10 @@ class Stamps(NamedTuple):
         """The fields by name, for JSON."""
         names = (
             *("refused", "last_refusal", "unpaired", "clock_set_back"),
-            *("problems", "stamps_zero", "second_publisher", "stamps_in_bursts"),
+            *("problems", "stamps_zero", "second_publisher"),
         )
         lists = {"problems": list(self.problems), "second_publisher": list(self.others)}
-        return dict(zip(names, self, strict=True)) | lists
+        return dict(zip(names, self, strict=False)) | lists
 
     @property
     def lines(self) -> list[str]:

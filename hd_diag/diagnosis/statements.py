@@ -17,7 +17,7 @@ from hd_diag.diagnosis.evidence.unexplained import Unexplained
 from hd_diag.diagnosis.fit.fit_parameters import direction_period
 from hd_diag.diagnosis.judgement import Answer, Change, first_words
 from hd_diag.effects.effect import Effect
-from hd_diag.effects.remainders import EVEN, Line
+from hd_diag.effects.remainders import EVEN, SPEED, Line
 from hd_diag.formatting import ARCSEC, arcsec, direction, si, spread_number, words
 
 _DISPLACED = {
@@ -106,10 +106,16 @@ def ended(text: str) -> str:
 
 
 def _current(diagnosis: Diagnosis) -> list[str]:
-    """What cannot be determined if the torque is a motor's current; empty otherwise."""
+    """What cannot be determined if the torque is a motor's current, or how to state that; else empty."""
     values = motor_values(diagnosis)
     if values is None:
-        return []
+        known = diagnosis.record.by_current or not diagnosis.record.has_torque
+        if known or all(one.effect is not SPEED for one in diagnosis.larger):
+            return []
+        return [
+            "friction of a motor makes a part that follows the speed: if the torque was computed from its "
+            "current, give the signal the unit A, as in current[A]*11.2, and this friction is fitted"
+        ]
     gain, dry = values["relative_error"], values["friction"]
     constant = spread_number(100.0 * gain["value"], 100.0 * gain["std"], "%")
     return [

@@ -83,7 +83,7 @@ class Remainder:
     def of(fit: LinearisedFit, chosen: Chosen, described: Collection[str] = ()) -> Remainder:
         """Residual of a fit with the chosen effects, with lines of unknown cause added back.
 
-        Lines that any gear has are added back if `described` names one of their order: those larger than usual.
+        Lines that any gear has are added back if `described` names one of their order, as larger than usual.
         """
         orders = {item[0].order for item in chosen if isinstance(item[0], Line) and item[0].name in described}
         s, beta = fit.signals, fit.fit(chosen)[0]
