@@ -340,7 +340,10 @@ def _exchanged(now: Set, known: Instead) -> tuple[Set | None, Instead]:
         if effect.name in known:
             instead[effect.name] = known[effect.name]
             continue
-        without = now.without(effect.name).settled(_TO_MINIMUM)
+        bare = now.without(
+            effect.name
+        )  # at the parameters of the set with the cause: alternatives start here
+        without = bare.settled(_TO_MINIMUM)
         trials, itself = [without], _kind((effect, nonlinear))
         if now.before is not None and now.before.names == without.names:
             trials.append(now.before.on(now))  # the others may have moved to make room for it
@@ -353,7 +356,7 @@ def _exchanged(now: Set, known: Instead) -> tuple[Set | None, Instead]:
         least = max(min(now.value - without.value, own) - _CLOSE, -_HOPEFUL)
         for one in ranked[:_RIVALS]:
             if _kind(one.item) != itself and one.gain > least:
-                there = without.beside(one.item, one.widths).settled()
+                there = bare.beside(one.item, one.widths).settled(_TO_MINIMUM)
                 if there.sensible:
                     tried = [there, there.polished()] if there.value > now.value - _NEARLY else [there]
                     trials += [each for each in tried if each.foretells(one.name)]
