@@ -64,7 +64,7 @@ def test_a_cause_beside_a_misfit_is_a_misfit_and_said_first() -> None:
     made = diagnosis(cause("hysteresis"), rms=MISFIT)
     assert Answer(made).judgement == "misfit"
     assert sentence(Answer(made)).startswith("the model does not describe this record: 19.0 times the noise")
-    assert "though not to be named for it: hysteresis" in sentence(Answer(made))
+    assert "possible, but not named: hysteresis" in sentence(Answer(made))
     assert "no other cause is needed" not in sentence(Answer(diagnosis(rms=MISFIT)))
 
 
@@ -85,7 +85,7 @@ def test_what_the_record_cannot_tell_is_a_hint(alike: tuple, changes: dict[str, 
     assert [one["name"] for one in content["causes"]] == ["hysteresis"] * told
     assert [one["name"] for one in content["hints"]] == ["hysteresis"] * (not told)
     assert (content["judgement"] == "causes") is told
-    assert ("though not to be named for it: hysteresis" in content["verdict"]) is not told
+    assert ("possible, but not named: hysteresis" in content["verdict"]) is not told
 
 
 @pytest.mark.parametrize(

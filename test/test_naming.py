@@ -55,7 +55,7 @@ def many(count: int, own: float = 2.0 * LEAST_SIZE) -> Standing:
 ENOUGH = math.log(NAMED / (1.0 - NAMED))
 
 
-ASKED = "arcsec rms, and 0.50 arcsec for certain are asked for"
+ASKED = "arcsec rms; certainly more than 0.50 arcsec is needed"
 
 
 @pytest.mark.parametrize(
@@ -67,11 +67,11 @@ ASKED = "arcsec rms, and 0.50 arcsec for certain are asked for"
         (standing({"hysteresis": 0.0, "": -1.01 * ENOUGH}), ""),
         (
             standing({"hysteresis": 0.0, "": -0.9 * ENOUGH}, 0.0),
-            "its probability is 98.4 %, of 99 % asked for",
+            "its probability is 98.4 %; 99 % is needed",
         ),
         (standing(deviation=0.99 * LEAST_SIZE / CERTAIN_SIZE), ""),
-        (many(MOST_ALIKE + 1, 0.56 * ARCSEC), f"what it alone explains is 0.56 {ASKED}"),
-        (many(MOST_ALIKE + 1), f"{MOST_ALIKE + 1} causes explain it alike: cause 0, .*"),
+        (many(MOST_ALIKE + 1, 0.56 * ARCSEC), f"it alone explains 0.56 {ASKED}"),
+        (many(MOST_ALIKE + 1), f"{MOST_ALIKE + 1} causes explain it equally well: cause 0, .*"),
     ],
 )
 def test_the_first_doubt_is_told(made: Standing, doubt: str) -> None:

@@ -19,7 +19,7 @@ from hd_diag.effects.excitation import torque_known
 from hd_diag.effects.remainders import ORDERS
 from hd_diag.formatting import words
 
-NOT_PROVED = "what is left looks like it, and does not prove it"
+NOT_PROVED = "possible, not proven"
 """Why an effect is neither found nor excluded."""
 
 _LARGE = 3.0  # largest testable detection limit, in usual sizes

@@ -89,7 +89,7 @@ def _causes(answer: Answer) -> list[str]:
     hints = [f"{_cause_in_words(answer, cause)}: {found.doubt(cause)}" for cause in found.hints]
     parts = {
         "beside that": [_cause_in_words(answer, cause) for cause in found.causes],
-        "nearest to it, though not to be named for it": hints,
+        "possible, but not named": hints,
     }
     if said := [f"{how}: {'; '.join(some)}" for how, some in parts.items() if some]:
         return said

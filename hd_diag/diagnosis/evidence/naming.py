@@ -78,16 +78,16 @@ class Standing:
         if len(self.values) < 2:
             return "there was no time to weigh it"
         if self.probability < NAMED:
-            return f"its probability is {100.0 * self.probability:.3g} %, of {100.0 * NAMED:.0f} % asked for"
+            return f"its probability is {100.0 * self.probability:.3g} %; {100.0 * NAMED:.0f} % is needed"
         if not self.foretold:
-            return "blocks of the record do not foretell it in others"
+            return "other blocks of the record do not predict it"
         if self.own - CERTAIN_SIZE * self.deviation < LEAST_SIZE:
             return (
-                f"what it alone explains is {self.own / ARCSEC:.2f} arcsec rms, "
-                f"and {LEAST_SIZE / ARCSEC:.2f} arcsec for certain are asked for"
+                f"it alone explains {self.own / ARCSEC:.2f} arcsec rms; "
+                f"certainly more than {LEAST_SIZE / ARCSEC:.2f} arcsec is needed"
             )
         if len(self.alike) > MOST_ALIKE:
-            return f"{len(self.alike)} causes explain it alike: {', '.join(map(words, self.alike))}"
+            return f"{len(self.alike)} causes explain it equally well: {', '.join(map(words, self.alike))}"
         return ""
 
     def beside(self, misfit: float) -> Standing:

@@ -248,7 +248,7 @@ UNMODELLED_TERMS = (
     UnmodelledTerm(
         name="rests",
         shape=_rests,
-        cause="settles anew at every rest: something is loose",
+        cause="settles again at every rest: something is loose",
         frame="time",
         remembers=True,  # it changes at rest, where rows are not fitted
     ),
