@@ -82,6 +82,8 @@ def without_bursts(time: Floats, angle: Floats, bag: Integers) -> tuple[Floats, 
         Recording of each row, ascending.
     """
     step, change, same = usual_step(time), np.diff(time), np.diff(bag) == 0
+    if not step < _AT_ONCE:
+        return time, 0.0
     begun = (change > _BETWEEN_BURSTS * step) | ~same
     first = np.append(0, np.flatnonzero(begun) + 1)
     count, inside = np.diff(np.append(first, time.size)), same[first[1:] - 1]
@@ -91,7 +93,7 @@ def without_bursts(time: Floats, angle: Floats, bag: Integers) -> tuple[Floats, 
     pace = float(np.median((period / count[:-1])[inside]))
     moved = np.abs(np.diff(angle))
     within, across = moved[~begun], moved[begun & same]
-    if step > min(_AT_ONCE, _BETWEEN * pace) or within.mean() < _BETWEEN * across.mean():
+    if step > _BETWEEN * pace or within.mean() < _BETWEEN * across.mean():
         return time, 0.0
     usual = count * pace
     paused = np.append(~inside | (period > _PAUSED * usual[:-1]), True)

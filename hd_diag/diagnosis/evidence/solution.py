@@ -23,7 +23,7 @@ from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.present_effects import Item
 from hd_diag.effects.effect import Effect
 from hd_diag.effects.motor_current import MotorCurrent
-from hd_diag.effects.remainders import LOOP, ORDERS, Line, Remainder
+from hd_diag.effects.remainders import EVEN, LOOP, ORDERS, Line, Remainder
 
 _NEARLY_ALL = 0.99  # quantile of a function's size: few rows determine its extremes
 _CHANCE_SHARE = 3.0  # deducted per column of a wandering effect; noise alone gives 1
@@ -241,12 +241,15 @@ def _told(fit: LinearisedFit, chosen: Chosen, larger: Collection[str]) -> set[st
 
     That is the line that changes with the torque if its change is large enough to be told, else the even one.
     """
-    names = set[str]()
-    for item in (one for one in chosen if one[0].name in larger):
-        first, last = (own := _of_one_order(chosen, item))[0], own[-1]
-        others = tuple(one for one in chosen if one != last)
-        changes = last[0].name in larger and np.std(left_by(fit, chosen, others, (last,))) >= LEAST_SIZE
-        names.add(last[0].name if changes or first == last else first[0].name)
+    names = set(larger)
+    for item in (one for one in chosen if one[0] is EVEN):
+        line = _of_one_order(chosen, item)[-1]
+        if line is item or names.isdisjoint((EVEN.name, line[0].name)):
+            continue
+        others = tuple(one for one in chosen if one != line)
+        changes = line[0].name in larger and np.std(left_by(fit, chosen, others, (line,))) >= LEAST_SIZE
+        names -= {EVEN.name, line[0].name}
+        names.add(line[0].name if changes else EVEN.name)
     return names
 
 
