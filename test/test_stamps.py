@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from hd_diag.diagnosis.record import GAP_STEPS, segments
 from hd_diag.diagnosis.stamps import without_bursts, without_jitter
 
 RATE, COUNT = 500.0, 5000  # [Hz]
@@ -68,16 +69,21 @@ BURSTS = EVEN - IN_BURST / RATE + 20e-6 * IN_BURST  # the recorder empties its b
 PAUSED = BURSTS + 7.0 * (np.arange(COUNT) >= 2400)
 
 
+def even(stamps: np.ndarray, shown: np.ndarray) -> tuple[np.ndarray, float]:
+    one = ONE[: stamps.size]
+    return without_bursts(stamps, shown, one, segments(stamps, one, GAP_STEPS))
+
+
 @pytest.mark.parametrize("stamps", [BURSTS, PAUSED], ids=["on and on", "with a pause"])
 def test_rows_stamped_in_bursts_were_sampled_evenly(stamps) -> None:
-    found, rows = without_bursts(stamps, angle(EVEN), ONE)
+    found, rows = even(stamps, angle(EVEN))
     assert rows == 8.0
     late = found - EVEN - 7.0 * (stamps > EVEN + 1.0)
     assert np.ptp(late) < 1e-9
 
 
 def test_lost_rows_shift_times_by_less_than_a_burst() -> None:
-    found, _ = without_bursts(BURSTS[GAPS], angle(EVEN)[GAPS], ONE[GAPS])
+    found, _ = even(BURSTS[GAPS], angle(EVEN)[GAPS])
     assert np.max(np.abs(found - EVEN[GAPS])) < 8.0 / RATE
     assert np.all(np.diff(found) > 0.2 / RATE)
 
@@ -86,6 +92,6 @@ def test_lost_rows_shift_times_by_less_than_a_burst() -> None:
     "stamps", [EVEN, jittered(), EVEN[GAPS], BURSTS], ids=["even", "jitter", "gaps", "bursts"]
 )
 def test_rows_that_were_sampled_at_their_stamps_keep_them(stamps) -> None:
-    found, rows = without_bursts(stamps, angle(stamps), ONE[: stamps.size])
+    found, rows = even(stamps, angle(stamps))
     assert found is stamps
     assert rows == 0.0

@@ -29,7 +29,7 @@ _MOVED = 0.1  # travel below which a speed is noise [rad]
 _CLOCK_WINDOW = 0.5  # time over which a clock runs evenly [s]
 _LEAST_JITTER = 1e-3  # rms, over the usual step
 _BETWEEN = 0.5  # half-way between even sampling and sampling at the stamps
-_BETWEEN_BURSTS, _MANY = 5.5, 2  # usual steps that end a burst; mean rows in one
+_MANY = 2  # mean rows in a burst
 _AT_ONCE = 1e-4  # step of stamps below which samples were not taken one after the other [s]: 10 kHz
 _PAUSED = 2.0  # usual lengths of a burst, beyond which the recording paused
 
@@ -68,7 +68,7 @@ def without_jitter(time: Floats, angle: Floats, segment: Integers) -> Floats:
     return even if moved @ jitter < _BETWEEN * (jitter @ jitter) else time
 
 
-def without_bursts(time: Floats, angle: Floats, bag: Integers) -> tuple[Floats, float]:
+def without_bursts(time: Floats, angle: Floats, bag: Integers, segment: Integers) -> tuple[Floats, float]:
     """Times of sampling [s], (n,), and the rows in a burst; the stamps and 0 if they are in no bursts.
 
     A recorder that empties a buffer stamps its rows together: some rows, closer than any joint is sampled,
@@ -80,11 +80,13 @@ def without_bursts(time: Floats, angle: Floats, bag: Integers) -> tuple[Floats, 
         Stamps [s], and an angle that moves [rad].
     bag : ndarray of int64, shape (n,)
         Recording of each row, ascending.
+    segment : ndarray of int64, shape (n,)
+        Number of the gap-free stretch of each row, ascending; here each is a burst.
     """
-    step, change, same = usual_step(time), np.diff(time), np.diff(bag) == 0
+    step = usual_step(time)
     if not step < _AT_ONCE:
         return time, 0.0
-    begun = (change > _BETWEEN_BURSTS * step) | ~same
+    begun, same = np.diff(segment) != 0, np.diff(bag) == 0
     first = np.append(0, np.flatnonzero(begun) + 1)
     count, inside = np.diff(np.append(first, time.size)), same[first[1:] - 1]
     if time.size < _MANY * first.size or not inside.any():

@@ -265,11 +265,13 @@ def _functions(fit: LinearisedFit, chosen: Chosen, larger: Collection[str]) -> t
         is_larger = effect.name in told
         # Together with a larger line of its order, and told of that.
         within = any(one.name in told for one, _ in own) and not is_larger
-        part = part_of(fit, chosen, item, is_larger) * (not within)
+        part = np.zeros(fit.residual.size) if within else part_of(fit, chosen, item, is_larger)
         rms, most = float(np.std(part)), int(np.argsort(np.abs(part))[int(_NEARLY_ALL * (part.size - 1))])
         where = getattr(fit.signals, effect.follows)
-        gain = built.held_out_gain(slice(places[own[0]].start, places[own[-1]].stop))[0]
-        described = effect.lasting and rms >= LEAST_SIZE and 0.5 * TEMPER * float(gain.sum()) > ODDS
+        described = effect.lasting and rms >= LEAST_SIZE
+        if described:
+            gain = built.held_out_gain(slice(places[own[0]].start, places[own[-1]].stop))[0]
+            described = 0.5 * TEMPER * float(gain.sum()) > ODDS
         found.append(
             Function(
                 effect,
