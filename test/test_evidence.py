@@ -15,7 +15,7 @@ from hd_diag.diagnosis.evidence.evidence import Evidence
 
 ROWS = 40
 USUAL = {"remainder": np.array([0.3, 0.5, 0.2]), "cause": np.array([2.0, 0.7]), "other": np.array([1.5])}
-CHOICES = {"remainder": (LARGER_BY, LARGER), "cause": (SIZES, 0.0), "other": (SIZES, 0.0)}
+CHOICES = {"remainder": (LARGER_BY, LARGER), "cause": (SIZES, LARGER), "other": (SIZES, 0.0)}
 PRIOR = {name: (USUAL[name], *CHOICES[name]) for name in USUAL}
 WIDTHS = [
     dict(zip(names, widths, strict=True))
@@ -29,6 +29,11 @@ seeds = st.integers(0, 2**32 - 1)
 sets = st.sampled_from(WIDTHS)
 COPIES = 40  # more columns than one batch holds
 few = settings(max_examples=40)
+
+
+def beyond(choices: tuple[float, ...], width: float) -> int:
+    """Number of choices from the usual width to a larger one."""
+    return sum(1.0 < other <= width for other in choices)
 
 
 class Problem(NamedTuple):
@@ -62,7 +67,7 @@ class Problem(NamedTuple):
         """Log density of the target at noise variance 1 / TEMPER, plus the penalty for larger widths."""
         columns, mean, deviation = self.joined(widths)
         covariance = np.eye(ROWS) / TEMPER + (columns * deviation**2) @ columns.T
-        cost = LARGER * LARGER_BY.index(widths.get("remainder", 1.0))
+        cost = sum(CHOICES[name][1] * beyond(CHOICES[name][0], width) for name, width in widths.items())
         return float(multivariate_normal(columns @ mean, covariance).logpdf(self.target)) + cost
 
 

@@ -8,6 +8,8 @@ from benches import CONFIGURED, POINT, swinging
 from joint_records import ARCSEC
 from numpy.testing import assert_allclose
 
+from hd_diag.arrays import Floats
+from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
 from hd_diag.diagnosis.evidence.search import begun
 from hd_diag.diagnosis.evidence.sets import Remainders, Set
 from hd_diag.diagnosis.fit.fit_parameters import DATUM, swapped
@@ -16,19 +18,28 @@ from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.diagnosis.fit.motor_torque import less_motor
 from hd_diag.diagnosis.fit.refit import Refit
 from hd_diag.diagnosis.record import Record
+from hd_diag.diagnosis.verdict import as_json
 from hd_diag.diagnosis.work import Work
 from hd_diag.effects import CATALOGUE
 
 
-def by_current() -> Record:
-    """Current times a constant 15 % too small, with dry, load-dependent and viscous friction and inertia."""
-    record = swinging()
+def friction(record: Record) -> Floats:
+    """Dry, load-dependent and viscous friction [N m]."""
     speed = np.gradient(record.input_angle, record.time)
     dry = (5.0 + 0.08 * np.abs(record.torque)) * np.tanh(speed / 0.6)
-    drag = 4.0 * np.sign(speed) * np.abs(speed / 100.0) ** 0.8
-    moved = 2.0 * np.gradient(speed, record.time) / 100.0
-    needed = (record.torque + dry + drag + moved) / 1.15
-    return dataclasses.replace(record, torque=needed, reported_torque=needed, by_current=True)
+    return dry + 4.0 * np.sign(speed) * np.abs(speed / 100.0) ** 0.8
+
+
+def reporting(torque: Floats, is_declared: bool = False) -> Record:
+    """The record with another reported torque."""
+    return dataclasses.replace(swinging(), torque=torque, reported_torque=torque, by_current=is_declared)
+
+
+def by_current(is_declared: bool = True) -> Record:
+    """Current times a constant 15 % too small, with friction and inertia of the motor."""
+    record = swinging()
+    moved = 2.0 * np.gradient(np.gradient(record.input_angle, record.time), record.time) / 100.0
+    return reporting((record.torque + friction(record) + moved) / 1.15, is_declared)
 
 
 @pytest.fixture(scope="module")
@@ -93,3 +104,28 @@ def test_what_a_motor_takes_is_looked_for_from_nothing_as_well(found: tuple[Line
     poor = fit.beside(((item, np.array([-0.5, 0.0, 0.3, 10.0, -5.0])),))
     there = Set(poor, Remainders.of(fit.data.source, CONFIGURED, 1e-5), (), fit.data.given)
     assert begun(poor).value > there.valued().settled().polished(5).value + 100.0
+
+
+def judged(record: Record) -> Diagnosis:
+    return diagnose(record, CONFIGURED, np.random.default_rng(0), Work(0.0))
+
+
+def test_a_current_that_nobody_declared_is_recognised() -> None:
+    found = judged(by_current(is_declared=False))
+    assert found.record.by_current
+    assert found.record.undeclared
+    said = as_json(found, "elbow")
+    assert (
+        "the torque is a motor's current (the record shows it; give the signal the unit A" in said["verdict"]
+    )
+    assert said["motor_current"]["friction"]["value"] == pytest.approx(5.0, rel=0.3)
+    declared = judged(by_current())
+    assert "the record shows it" not in as_json(declared, "elbow")["verdict"]
+
+
+def test_friction_of_the_joint_is_not_the_motor_s() -> None:
+    """The mesh bears this friction beside the reported torque, so its sign is the other one."""
+    record = swinging()
+    found = judged(reporting(record.torque - friction(record)))
+    assert not found.record.by_current
+    assert not judged(record).record.by_current

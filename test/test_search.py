@@ -512,6 +512,14 @@ def test_a_displacement_that_some_rows_do_not_show_is_found_on_all() -> None:
     assert found.fit.parameters[:4] == pytest.approx(0.0, abs=1e-9)
 
 
+def test_what_has_no_known_cause_is_looked_for_again_on_all_rows() -> None:
+    """There a cause may explain it better, which the term's presence would hide."""
+    line, ball = (UNMODELLED_TERMS[3], (42.0,)), (EFFECTS["bearing_passage"], (0.45, 0.0))
+    at = chosen_set(bench(wave(42.3)), line, ball).valued()
+    assert at.names == {"output_line_1", "bearing_passage"}
+    assert module._of_causes(at).names == {"bearing_passage"}
+
+
 @pytest.mark.parametrize("exponential", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_usual_wave_that_falls_and_turns_is_no_cause(exponential: bool) -> None:
     """Other flanks carry torque of the other sign, and the wave's phase changes with them."""

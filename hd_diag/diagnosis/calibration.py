@@ -15,7 +15,7 @@ PRESENT = math.log(0.02)
 """Prior log odds of each cause: some twenty are known, and one joint in a few has any."""
 
 LARGER = math.log(0.05)
-"""Prior log odds of each half decade by which a remainder exceeds its usual size. It needs no cause."""
+"""Prior log odds of each half decade by which a remainder or a cause exceeds its usual size."""
 
 LARGER_LINE = math.log(0.5)
 """The same for a line at an order of the input. Chosen: each half decade is half as likely. Joints in the

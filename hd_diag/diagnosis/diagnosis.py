@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hd_diag.arrays import Floats
+from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.calibration import HINTED, LEAST_SIZE, MISFIT, MORE, WORSE
 from hd_diag.diagnosis.detectability import NOT_PROVED, Detectability, testability
 from hd_diag.diagnosis.evidence.kept_parameters import DISPLACEMENTS, HELD, Kept, kept_parameters
@@ -17,6 +17,7 @@ from hd_diag.diagnosis.evidence.naming import standings
 from hd_diag.diagnosis.evidence.order_table import OrderRow
 from hd_diag.diagnosis.evidence.search import FURTHER_CAUSES, search
 from hd_diag.diagnosis.evidence.solution import Cause, Function, Solution, motor_deviations, solution
+from hd_diag.diagnosis.evidence.undeclared_current import is_current, suspected
 from hd_diag.diagnosis.evidence.unexplained import Unexplained, unexplained, with_table
 from hd_diag.diagnosis.extension import encoder_zeros, extended_model
 from hd_diag.diagnosis.findings import Finding
@@ -221,14 +222,13 @@ def diagnose(
     record, misleading = without_misleading_torque(record, configured, test, rng)
     findings = (*findings, *([misleading] if misleading else []))
     work.tell(0.02, "fitting the model's own parameters")
-    if record.by_current:
-        begun, first = less_motor(record, configured, ~test, rng, catalogue, work)
-    else:
-        first = refit(renumbered(record.select(~test)), configured, rng)
-        begun = linearise(record, configured, first.parameters, rows=~test, catalogue=catalogue, work=work)
+    begun = _begun(record, configured, test, rng, catalogue, work)
+    if (reported := suspected(begun.starts[0])) is not None:
+        current = _begun(replace(record, by_current=True), configured, test, rng, catalogue, work)
+        if is_current(reported, current.starts[0]):
+            begun, record = current, replace(record, by_current=True, undeclared=True)
     work.tell(0.15, "looking for causes")
-    begun = begun.passed()
-    found = search(_starts(begun, test), begun, rng, first.torque_zero)
+    found = search(begun.starts, begun.every, rng, begun.torque_zero)
     best, kept = found.best, Kept({})
     work.tell(0.62, "testing which parameters are as configured")
     with work.until(_KEPT, _KEPT_TEST):
@@ -282,10 +282,30 @@ def diagnose(
     return replace(result, left_out=tuple(work.left_out))
 
 
-def _starts(begun: LinearisedFit, test: Rows) -> list[LinearisedFit]:
-    """Starting points of a search, on some rows that are not held out: as refitted and as configured."""
+class _Begun(NamedTuple):
+    """What a search begins with: fits of some rows, the fit of all rows, and the torque's zero [N m]."""
+
+    starts: list[LinearisedFit]
+    every: LinearisedFit
+    torque_zero: float
+
+
+def _begun(
+    record: Record, configured: Drive, test: Rows, rng: np.random.Generator, catalogue: Catalogue, work: Work
+) -> _Begun:
+    """The parameters fitted to all rows that are not held out, from many starts."""
+    if record.by_current:
+        every, first = less_motor(record, configured, ~test, rng, catalogue, work)
+    else:
+        first = refit(renumbered(record.select(~test)), configured, rng)
+        every = linearise(record, configured, first.parameters, rows=~test, catalogue=catalogue, work=work)
+    every = every.passed()
+    return _Begun(_starts(every, test, some_rows(record, _SEARCHED_ROWS)), every, first.torque_zero)
+
+
+def _starts(begun: LinearisedFit, test: Rows, some: Integers) -> list[LinearisedFit]:
+    """Starting points of a search, on `some` rows that are not held out: as refitted and as configured."""
     data = begun.data
-    some = some_rows(data.source, _SEARCHED_ROWS)
     record = renumbered(data.source.select(some))
     # Isolated rows only carry the history of causes with memory.
     rows = ~test[some] & (np.bincount(record.run) > ORDER)[record.run]

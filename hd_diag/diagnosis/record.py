@@ -72,6 +72,8 @@ class Record:
     has_torque, by_current, by_velocity : bool
         Whether the torque was measured (otherwise the configured one is assumed); whether it is a motor's
         current times a constant; whether the input angle is an integrated velocity, whose drift is free.
+    undeclared : bool
+        Whether nobody said that the torque is a motor's current: the record itself shows it.
     outliers, dropped : int
         Number of removed samples: far off their neighbours; not finite or out of order.
     reported_torque, reported_speed : ndarray, or None
@@ -110,6 +112,7 @@ class Record:
     torque_with_waves: bool = False
     by_current: bool = False
     by_velocity: bool = False
+    undeclared: bool = False
     stamps: Stamps = UNTOLD
     taken: Floats | None = None
     no_torque: str = ""

@@ -26,6 +26,7 @@ _DISPLACED = {
     "tilt": ("the wave generator's tilt", 1e3, "mrad"),
 }  # name, scale and unit in messages
 _SAME_ORDER = 0.02  # relative difference of two estimates of the same order
+_DECLARE = "give the signal the unit A, as in current[A]*11.2"
 _PER = {"input": "per input turn", "output": "per output turn", "time": "Hz"}
 
 
@@ -114,14 +115,16 @@ def _current(diagnosis: Diagnosis) -> list[str]:
             return []
         return [
             "friction of a motor makes a part that follows the speed: if the torque was computed from its "
-            "current, give the signal the unit A, as in current[A]*11.2, and this friction is fitted"
+            f"current, {_DECLARE}, and this friction is fitted"
         ]
     gain, dry = values["relative_error"], values["friction"]
     constant = spread_number(100.0 * gain["value"], 100.0 * gain["std"], "%")
+    seen = f" (the record shows it; {_DECLARE})" if diagnosis.record.undeclared else ""
     return [
-        f"the torque is a motor's current: its constant ({'+' if gain['value'] > 0.0 else ''}{constant}), "
-        f"friction ({spread_number(dry['value'], dry['std'], 'N m')}) and inertia are fitted too, so neither "
-        "the stiffness nor a small friction can be determined"
+        f"the torque is a motor's current{seen}: its constant "
+        f"({'+' if gain['value'] > 0.0 else ''}{constant}), friction "
+        f"({spread_number(dry['value'], dry['std'], 'N m')}) and inertia are fitted too, so neither the "
+        "stiffness nor a small friction can be determined"
     ]
 
 

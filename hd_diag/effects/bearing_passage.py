@@ -36,7 +36,7 @@ _LEAK = 0.1  # side lobe of a whole order, over its line, that a candidate toler
 
 
 class BearingPassage(Harmonic):
-    """``a cos(kappa theta_W - d)``; a fit lets the phase slip, as rolling bearings do."""
+    """``a cos(kappa theta_W - d)``. A fit may let the phase slip, because rolling bearings slip."""
 
     def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
         """Strongest lines of a residual's order spectrum inside the bands; without one the bands' middles.

@@ -17,9 +17,9 @@ ORDERS = (2, 4, 6)
 
 
 class CircularSplineForm(Effect):
-    """Radial slot displacement ``u = sum a_k cos k (phi - d_k)`` through the contact's weights.
+    """A radial displacement of the slots, ``u = sum a_k cos k (phi - d_k)``, as the teeth in contact feel it.
 
-    A ring that is bent keeps its circumference: its slots also move along it, by v with ``dv/dphi = -u``.
+    A bent ring keeps its circumference, so its slots also move along it, by v with ``dv/dphi = -u``.
     """
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:

@@ -18,10 +18,10 @@ State = tuple[tuple[float, float] | None, float]
 
 
 class CoulombWindup(MeshTorque):
-    """``T' = T + a [1 + b exp(-(omega / omega_s)^2)] z``, a bristle z that motion bends: ``-1 ... 1``.
+    """``T' = T + a [1 + b exp(-(omega / omega_s)^2)] z`` with a bristle z from -1 to 1, which motion bends.
 
-    ``x_0 dz/dt = omega - (|omega| + omega_0) z``: with ``omega_0 = 0`` it keeps its bend at rest (Dahl), else
-    it lets go, and z goes with the speed alone where x_0 is small.
+    ``x_0 dz/dt = omega - (|omega| + omega_0) z``. With ``omega_0 = 0`` the bristle stays bent at rest (Dahl).
+    Otherwise it straightens at rest, and if x_0 is small, z depends on the speed alone.
     """
 
     def start(self, nonlinear: Values) -> State:

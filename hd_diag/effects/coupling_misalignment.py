@@ -17,9 +17,9 @@ _MOST_PLAY = 6.5e-4  # [rad]; a coupling has no more, but dry friction imitates 
 
 
 class CouplingMisalignment(Effect):
-    """``(gamma^2 / 4) sin 2 (theta_in - d) / N``, less half of the play where it moves forward.
+    """``(gamma^2 / 4) sin 2 (theta_in - d) / N``, less half of the play while the joint moves forward.
 
-    Its coefficients are gamma^2 cos 2d, gamma^2 sin 2d and the play.
+    The coefficients are gamma^2 cos 2d, gamma^2 sin 2d and the play.
     """
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:

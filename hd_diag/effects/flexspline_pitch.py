@@ -15,9 +15,9 @@ ORDERS = (2, 4)  # two opposite lobes cancel the odd ones
 
 
 class FlexsplinePitch(Effect):
-    """Circumferential displacement of the teeth ``sum a_k cos k (psi - d_k)``, through the contact's weights.
+    """Circumferential displacement of the teeth, ``sum a_k cos k (psi - d_k)``, as the contacts feel it.
 
-    A preload on both flanks makes it alike under any torque: ``-sum a_k cos k (theta_F - d_k) / r``.
+    If both flanks are preloaded, the torque does not change it: ``-sum a_k cos k (theta_F - d_k) / r``.
     """
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:

@@ -24,12 +24,13 @@ State = tuple[float | None, float, tuple[float, ...]]
 
 
 class Hysteresis(Effect):
-    """``a_1 z_1 + a_2 z_2``: a bend that gives way smoothly, and elements that slip one after the other.
+    """``a_1 z_1 + a_2 z_2``: a spring that yields smoothly, and elements that slip one after the other.
 
-    Bouc and Wen: ``dz_1 = dT / r_1 (1 - |z_1|^n)`` while the torque goes on, ``dT / r_1`` on the way back.
-    Maxwell slip: the mean of ``z <- clip(z + dT / r, -1, 1)`` with r from ``r_2 / s`` to ``r_2 s``.
-    a > 0: the link lags less while the torque grows and more while it falls, as friction beside the spring
-    has it. a < 0: it lags more while the torque grows, as friction behind the torque's measurement has it.
+    The first follows Bouc and Wen: ``dz_1 = dT / r_1 (1 - |z_1|^n)`` while the torque continues in its
+    direction, ``dT / r_1`` on the way back. The second is a Maxwell slip model: the mean of elements ``z <-
+    clip(z + dT / r, -1, 1)`` with r from ``r_2 / s`` to ``r_2 s``. With a > 0 the link lags less while the
+    torque grows and more while it falls: friction beside the spring. With a < 0 it lags more while the
+    torque grows: friction between the spring and the torque sensor.
     """
 
     def sensible(self, coefficients: Floats, nonlinear: Values) -> bool:

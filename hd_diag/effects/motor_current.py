@@ -21,6 +21,9 @@ _POWER = 0.85  # exponent of the speed: friction of grease has 0.7 to 1
 
 _SMOOTH = 0.03  # time constant of the speed before its derivative [s]: encoders count in steps
 
+FRICTION = slice(1, 4)
+"""Columns of friction: dry, loaded and viscous."""
+
 _DRY, _LOADED = 1, 2  # columns of friction: of 1 N m, and of 1 N m for every N m of torque
 
 # Time [s] of the last sample and the smoothed speed of the input there [rad/s]; None before the first.
@@ -30,7 +33,7 @@ State = tuple[float, float] | None
 class MotorCurrent(MeshTorque):
     """``T' = M - m |M| s``, ``M = T + a T - f s - c sgn(omega) |omega / 100 rad/s|^0.85 - j domega/dt``.
 
-    The sign s turns round over omega_0: ``omega / sqrt(omega^2 + omega_0^2)``.
+    The sign s changes smoothly over omega_0: ``s = omega / sqrt(omega^2 + omega_0^2)``.
     """
 
     def more(self, columns: Floats, coefficients: Floats) -> Floats:

@@ -39,13 +39,13 @@ State = Before | None
 
 
 class Resonance(Effect):
-    """What a two-inertia oscillator makes of an order, ``Re a x``, and of the gear's own ripple.
+    """The response of a two-inertia oscillator to one order, ``Re a x``, and to the gear's own ripple.
 
-    The link x hangs on a spring and damper whose other end the gear moves by u:
+    A spring and damper connect the link x to the gear, which moves by u:
     ``x'' + 2 zeta omega_n (x' - u') + omega_n^2 (x - u) = 0``, ``u = exp(i n theta_W)``. At constant speed
-    ``x = H u``, ``H = (1 + 2 i zeta r) / (1 - r^2 + 2 i zeta r)``, ``r = n omega / omega_n``. The ripple that
-    the model predicts is in the model already: a share c of it goes through the same spring, ``c (H - 1)``.
-    Without torque the link hangs loose in the backlash and no ripple reaches it. The oscillator starts in the
+    ``x = H u``, ``H = (1 + 2 i zeta r) / (1 - r^2 + 2 i zeta r)``, ``r = n omega / omega_n``. The model
+    already has the ripple that it predicts, so a share c of it passes the same spring with ``c (H - 1)``.
+    Without torque the link is loose in the backlash, and no ripple reaches it. The oscillator starts in the
     steady state, for the ripple at rest.
     """
 

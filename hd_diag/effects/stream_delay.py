@@ -23,7 +23,7 @@ State = tuple[Floats, Floats]
 class StreamDelay(Effect):
     """``theta_out(t - dt) - theta_out(t)``, to first order ``-dt (omega_o + dTE/dt)``.
 
-    As the model runs, later samples are unknown, so a negative delay stays first order there.
+    A running model does not know later samples, so there a negative delay is taken to first order.
     """
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:

@@ -21,7 +21,7 @@ State = tuple[float, float] | None
 
 
 class ThermalDrift(Effect):
-    """``g (y - 20 degC)``, ``tau dy/dt = Theta - y``, settled at first; nothing without a temperature."""
+    """``g (y - 20 degC)`` with ``tau dy/dt = Theta - y`` from a settled start. Zero without a temperature."""
 
     def advance(self, state: State, signals: Signals, nonlinear: Values) -> Stepped:
         """Lagged temperature less `REFERENCE`, zero where none is known; see :meth:`Effect.advance`."""

@@ -29,9 +29,10 @@ _ENOUGH = 5_000  # samples in that comparison, for speed: a pulse is many teeth 
 
 
 class ToothDamage(Effect):
-    """More clearance on the flanks of one slot or tooth, as the contact's shares pass it on.
+    """Additional clearance at one slot or one tooth, which shows in proportion to its share of the load.
 
-    Or by a raised cosine over an arc: how many pairs bear at once is that of the assumed flanks else.
+    A second form is a raised cosine over an arc. The first form assumes the configured flanks, and these
+    determine how many pairs bear at once; the second form does not.
     """
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:

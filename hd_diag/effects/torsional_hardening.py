@@ -21,10 +21,10 @@ _LEAST = 0.25  # share of the rated torque that the record must reach
 
 
 class TorsionalHardening(Effect):
-    """``-sgn T [a ramp(abs T - T1) + b ramp(abs T - T2)]``; negative a, b: harder.
+    """``-sgn T [a ramp(abs T - T1) + b ramp(abs T - T2)]``. Negative a and b make the drive stiffer.
 
-    The ramps bend over a width of ``w T1`` and ``w T2`` around their knees: sharply where that is small, as a
-    cubic where it is large; where a and b have other signs, a compliance that is spent.
+    A ramp begins gradually, over a width of ``w T1`` or ``w T2`` around its knee: a small w gives a sharp
+    knee, a large one a cubic. If a and b have different signs, a compliance ends at T2.
     """
 
     def sensible(self, coefficients: Floats, nonlinear: Values) -> bool:

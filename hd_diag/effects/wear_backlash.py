@@ -13,7 +13,7 @@ from hd_diag.effects.signals import Signals
 
 
 class WearBacklash(Effect):
-    """Clearance of every flank grows by the same; first order of a widening dead zone."""
+    """The same additional clearance at every flank, to first order: the dead zone becomes wider."""
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Response to added clearance; see :meth:`Effect.columns`."""

@@ -49,7 +49,8 @@ class Group:
 
     def cost(self, width: float) -> float:
         """Prior log odds of a width."""
-        return self.larger * self.widths.index(width) if self.larger else 0.0
+        steps = self.widths.index(width) - self.widths.index(1.0)
+        return self.larger * max(steps, 0)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.calibration import NAMED, TEMPER, TWO_SIDED
 from hd_diag.diagnosis.evidence.sets import Remainders, Set, presence
-from hd_diag.diagnosis.evidence.unmodelled_terms import OUTPUT_LINES, UNMODELLED_TERMS
+from hd_diag.diagnosis.evidence.unmodelled_terms import OUTPUT_LINES, UNMODELLED_TERMS, UnmodelledTerm
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.fit_parameters import COMPLIANCE, CUP, DATUM, alike
 from hd_diag.diagnosis.fit.joint_refinement import settle
@@ -223,10 +223,11 @@ def search(
                 break
     if minima[0] is not scanned:
         minima[0], reach = _along_datum_in_time(minima[0], rows)
-    best, known = minima[0].moved_to(every).settled(_TO_MINIMUM).polished(), _plain(instead)
+    some = _of_causes(minima[0])
+    best, known = some.moved_to(every).settled(_TO_MINIMUM).polished(), _plain(instead)
     if best.fit.held:  # all rows may show a displacement that some rows do not
         best = max(best, best.at(starts[0].parameters).settled(_TO_MINIMUM), key=lambda one: one.value)
-    instead = known
+    instead = known = {name: odds for name, odds in known.items() if name in some.names}
     with work.until(SEARCHED, FURTHER_CAUSES):
         for turn in range(_TURNS):
             _tell(work, 0.5, turn, "weighing causes on all rows")
@@ -270,6 +271,14 @@ def _gain(one: Set, now: Set) -> float:
 def _plain(instead: Instead) -> Instead:
     """Alternatives of the causes that hold so clearly on some rows that all rows need no test."""
     return {name: odds for name, odds in instead.items() if max(odds.values()) < -_PLAINLY}
+
+
+def _of_causes(at: Set) -> Set:
+    """The set without terms of no known cause: on more rows a cause may explain the same better."""
+    for effect, _ in at.causes:
+        if isinstance(effect, UnmodelledTerm):
+            at = at.without(effect.name)
+    return at
 
 
 def _on_rows(one: Set, rows: int) -> float:

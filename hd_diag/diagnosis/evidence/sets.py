@@ -315,4 +315,4 @@ def _prior(effect: Effect, count: int, width: float = 1.0) -> Prior:
         return np.full(count, 1.0 / width), widths, larger
     usual = np.full(count, _WANDERING * float(effect.usual[0]))
     usual[: effect.size] = effect.usual[:count]
-    return usual, calibration.SIZES, 0.0
+    return usual, calibration.SIZES, calibration.LARGER

@@ -85,32 +85,36 @@ def place(mesh: MeshData, turn: float, displacement: complex, teeth: Teeth) -> i
 @part
 def _axes(series: Floats, begin: int, end: int, center: complex, teeth: Teeth) -> None:
     """Set tooth axes and foot points of a section; lead temporarily holds the axis' angle less u."""
-    _, lead = _summed(series[0], begin, end, teeth)
-    for j in range(begin, end):
-        teeth.lead[j] = 2.0 * teeth.place_sin[j] * teeth.place_cos[j] * lead[j]
-    _, offset = _summed(series[1], begin, end, teeth)
-    for j in range(begin, end):
-        teeth.offset[j] = 2.0 * teeth.place_sin[j] * teeth.place_cos[j] * offset[j]
-    later, height = _summed(series[2], begin, end, teeth)
+    # Loops over slices begin at zero: the compiler vectorises them, as no index can be negative.
+    count, later, last = end - begin, teeth.later[begin:end], teeth.last[begin:end]
+    place_cos, place_sin = teeth.place_cos[begin:end], teeth.place_sin[begin:end]
+    leads, offsets, heights = teeth.lead[begin:end], teeth.offset[begin:end], teeth.height[begin:end]
+    axes_cos, axes_sin = teeth.cosine[begin:end], teeth.sine[begin:end]
+    _, lead = _summed(series[0], place_sin, later, last)
+    for j in range(count):
+        leads[j] = 2.0 * place_sin[j] * place_cos[j] * lead[j]
+    _, offset = _summed(series[1], place_sin, later, last)
+    for j in range(count):
+        offsets[j] = 2.0 * place_sin[j] * place_cos[j] * offset[j]
+    before, height = _summed(series[2], place_sin, later, last)
     center_x, center_y, mean = center.real, center.imag, series[2, 0]
-    for j in range(begin, end):
-        cosine, sine = teeth.place_cos[j], teeth.place_sin[j]
-        small_cos, small_sin = _small_cos_sin(teeth.lead[j])
+    for j in range(count):
+        cosine, sine = place_cos[j], place_sin[j]
+        small_cos, small_sin = _small_cos_sin(leads[j])
         axis_x, axis_y = cosine * small_cos - sine * small_sin, sine * small_cos + cosine * small_sin
-        along = mean + (1.0 - 2.0 * sine * sine) * height[j] - later[j]
-        teeth.height[j] = along + center_x * axis_x + center_y * axis_y
-        teeth.offset[j] = teeth.offset[j] + center_y * axis_x - center_x * axis_y
-        teeth.cosine[j], teeth.sine[j] = axis_x, axis_y
+        along = mean + (1.0 - 2.0 * sine * sine) * height[j] - before[j]
+        heights[j] = along + center_x * axis_x + center_y * axis_y
+        offsets[j] = offsets[j] + center_y * axis_x - center_x * axis_y
+        axes_cos[j], axes_sin[j] = axis_x, axis_y
 
 
 @part
-def _summed(series: Floats, begin: int, end: int, teeth: Teeth) -> tuple[Floats, Floats]:
+def _summed(series: Floats, sine: Floats, later: Floats, last: Floats) -> tuple[Floats, Floats]:
     """Clenshaw's sums b_2 and b_1 of a series in 2u: ``sum a_k sin 2ku = b_1 sin 2u``."""
-    sine, later, last = teeth.place_sin, teeth.later, teeth.last
-    later[begin:end], last[begin:end] = 0.0, 0.0
+    later[:], last[:] = 0.0, 0.0
     for k in range(series.size - 1, 0, -1):
         coefficient = series[k]
-        for j in range(begin, end):
+        for j in range(sine.size):
             later[j] = coefficient + (2.0 - 4.0 * sine[j] * sine[j]) * last[j] - later[j]
         later, last = last, later
     return later, last
