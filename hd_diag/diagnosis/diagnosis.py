@@ -47,6 +47,7 @@ _KEPT = 0.7  # the same, for testing which parameters are as configured
 _KEPT_TEST = "testing which parameters may be as configured"
 _NO_LAWS = ("no law was found", "no law was found")
 _BY_TORQUE = ("friction", "torsion")  # kinds of causes that motor friction and torque constant imitate
+_BY_GRAVITY = ("output_runout", "output_encoder_eccentricity")  # once per output turn, as gravity is
 _BY_MOTOR = "a motor's own friction and constant imitate it: measure the torque at the joint"
 _HIDDEN = "more than noise is left at the gear's lines: what else is wrong may hide it"
 _AT_BOUND = "a parameter is as far off as it can be: something else takes part in it"
@@ -153,7 +154,8 @@ class Diagnosis:
             why = _AT_BOUND
         elif self.record.by_current:
             of_motor = (
-                effect.kind in _BY_TORQUE or effect.stage == Stage.TORQUE for effect in self.catalogue
+                effect.kind in _BY_TORQUE or effect.stage == Stage.TORQUE or effect.name in _BY_GRAVITY
+                for effect in self.catalogue
             )
             names, why = list(compress(names, of_motor)), _BY_MOTOR
         return _NO_CAUSES | (dict.fromkeys(names, why) if why else {})

@@ -37,8 +37,8 @@ _CLOSE = 10.0  # log odds within which a set is settled before it is compared
 _NEARLY = 5.0  # log odds within which its nonlinear values are polished as well
 _DATUM_STEPS = (2.0, 4.0, 8.0, 16.0)  # to either side, in units of the parameters
 _PLAINLY = 25.0  # log odds on some rows that make a test on all rows unnecessary
-_TO_MINIMUM = 5  # rounds of settling
 _FIRST, _TURN = 0.15, 0.6  # share of the time before the search; share of a half that a turn leaves
+TO_MINIMUM = 5  # rounds of settling
 RESTARTS = 1  # times that other minima are tried with the causes found so far
 
 
@@ -129,7 +129,7 @@ def begun(fit: LinearisedFit) -> Set:
     finite = slope[np.isfinite(slope)]  # infinite in the gap between the flanks
     compliance = float(np.median(finite)) if finite.size else 0.0
     start = Set(fit, Remainders.of(fit.data.source, drive, compliance), (), fit.data.given)
-    first = start.valued().settled().polished(_TO_MINIMUM)
+    first = start.valued().settled().polished(TO_MINIMUM)
     return max([first, *_by_no_motor(first)], key=lambda one: one.value)
 
 
@@ -138,7 +138,7 @@ def _by_no_motor(at: Set) -> list[Set]:
     points = [(effect, nonlinear) for effect, _ in at.motor for nonlinear in effect.grid]
     nothing = [(one, np.zeros(one[0].size)) for one in points]
     starts = [replace(at, fit=at.fit.beside((one,)), motor=(one[0],), widths={}) for one in nothing]
-    return [one.valued().settled().polished(_TO_MINIMUM) for one in starts]
+    return [one.valued().settled().polished(TO_MINIMUM) for one in starts]
 
 
 Instead = dict[str, dict[str, float]]
@@ -210,7 +210,7 @@ def search(
             _tell(work, 0.0, turn, f"looking for cause {len(minima[0].causes) + 1}")
             found, instead = _better(minima[0].clear().relearned, {})
             if found is not None:
-                minima[0] = found.polished(_TO_MINIMUM)
+                minima[0] = found.polished(TO_MINIMUM)
                 continue
             best = minima[0]
             if not best.causes or restarts == RESTARTS:
@@ -224,9 +224,9 @@ def search(
     if minima[0] is not scanned:
         minima[0], reach = _along_datum_in_time(minima[0], rows)
     some = _of_causes(minima[0])
-    best, known = some.moved_to(every).settled(_TO_MINIMUM).polished(), _plain(instead)
+    best, known = some.moved_to(every).settled(TO_MINIMUM).polished(), _plain(instead)
     if best.fit.held:  # all rows may show a displacement that some rows do not
-        best = max(best, best.at(starts[0].parameters).settled(_TO_MINIMUM), key=lambda one: one.value)
+        best = max(best, best.at(starts[0].parameters).settled(TO_MINIMUM), key=lambda one: one.value)
     instead = known = {name: odds for name, odds in known.items() if name in some.names}
     with work.until(SEARCHED, FURTHER_CAUSES):
         for turn in range(_TURNS):
@@ -352,7 +352,7 @@ def _exchanged(now: Set, known: Instead) -> tuple[Set | None, Instead]:
         bare = now.without(
             effect.name
         )  # at the parameters of the set with the cause: alternatives start here
-        without = bare.settled(_TO_MINIMUM)
+        without = bare.settled(TO_MINIMUM)
         trials, itself = [without], _kind((effect, nonlinear))
         if now.before is not None and now.before.names == without.names:
             trials.append(now.before.on(now))  # the others may have moved to make room for it
@@ -365,7 +365,7 @@ def _exchanged(now: Set, known: Instead) -> tuple[Set | None, Instead]:
         least = max(min(now.value - without.value, own) - _CLOSE, -_HOPEFUL)
         for one in ranked[:_RIVALS]:
             if _kind(one.item) != itself and one.gain > least:
-                there = bare.beside(one.item, one.widths).settled(_TO_MINIMUM)
+                there = bare.beside(one.item, one.widths).settled(TO_MINIMUM)
                 if there.sensible:
                     tried = [there, there.polished()] if there.value > now.value - _NEARLY else [there]
                     trials += [each for each in tried if each.foretells(one.name)]
