@@ -224,11 +224,7 @@ def diagnose(
     record, misleading = without_misleading_torque(record, configured, test, rng)
     findings = (*findings, *([misleading] if misleading else []))
     work.tell(0.02, "fitting the model's own parameters")
-    begun = _begun(record, configured, test, rng, catalogue, work)
-    if (reported := suspected(begun.starts[0])) is not None:
-        current = _begun(replace(record, by_current=True), configured, test, rng, catalogue, work)
-        if is_current(reported, current.starts[0]):
-            begun, record = current, replace(record, by_current=True, undeclared=True)
+    record, begun = _begun(record, configured, test, rng, catalogue, work)
     work.tell(0.15, "looking for causes")
     found = search(begun.starts, begun.every, rng, begun.torque_zero)
     best, kept = found.best, Kept({})
@@ -292,7 +288,17 @@ class _Begun(NamedTuple):
     torque_zero: float
 
 
-def _begun(
+def _begun(record: Record, *given: Any) -> tuple[Record, _Begun]:
+    """What a search begins with, and the record: its torque may be a current that nobody declared."""
+    begun = _fitted(record, *given)
+    if (reported := suspected(begun.starts[0])) is not None:
+        current = _fitted(replace(record, by_current=True), *given)
+        if is_current(reported, current.starts[0]):
+            return replace(record, by_current=True, undeclared=True), current
+    return record, begun
+
+
+def _fitted(
     record: Record, configured: Drive, test: Rows, rng: np.random.Generator, catalogue: Catalogue, work: Work
 ) -> _Begun:
     """The parameters fitted to all rows that are not held out, from many starts."""
