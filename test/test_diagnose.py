@@ -51,6 +51,18 @@ def test_a_wave_of_two_lines_of_one_order_is_in_the_extended_model() -> None:
     assert found.rms.extended < 1.1 * NOISE
 
 
+def test_a_wave_that_a_named_cause_imitates_is_in_the_extended_model() -> None:
+    """An eccentric encoder may read twice per turn as well; its fit leaves that to the wave of any gear."""
+    made = columns()
+    made["output"] += 5.0 * ARCSEC * np.cos(made["input"] - 1.0)
+    made["output"] += 5.0 * ARCSEC * np.cos(2.0 * made["input"] + 0.4)
+    drive = joint(eccentricity__magnitude=12e-6, eccentricity__direction=0.6).drive
+    found = diagnose(prepared(made), drive, np.random.default_rng(0))
+    assert [cause.effect.name for cause in found.causes] == ["input_encoder_eccentricity"]
+    assert found.rms.extended < 1.1 * NOISE
+    assert not any("signals are late" in one.torque_law for one in found.unexplained)
+
+
 @pytest.mark.parametrize(
     ("name", "seed", "run"),
     [

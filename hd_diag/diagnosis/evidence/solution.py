@@ -268,10 +268,12 @@ def _functions(fit: LinearisedFit, chosen: Chosen, larger: Collection[str]) -> t
         part = np.zeros(fit.residual.size) if within else part_of(fit, chosen, item, is_larger)
         rms, most = float(np.std(part)), int(np.argsort(np.abs(part))[int(_NEARLY_ALL * (part.size - 1))])
         where = getattr(fit.signals, effect.follows)
-        described = effect.lasting and rms >= LEAST_SIZE
-        if described:
-            gain = built.held_out_gain(slice(places[own[0]].start, places[own[-1]].stop))[0]
-            described = 0.5 * TEMPER * float(gain.sum()) > ODDS
+        together = slice(places[own[0]].start, places[own[-1]].stop)
+        # What others imitate counts too: they were fitted beside it, so a model without it misses all of it.
+        fitted = float(np.std(fit.joined(own) @ beta[together]))
+        described = effect.lasting and fitted >= LEAST_SIZE
+        if described and rms >= LEAST_SIZE:
+            described = 0.5 * TEMPER * float(built.held_out_gain(together)[0].sum()) > ODDS
         found.append(
             Function(
                 effect,
