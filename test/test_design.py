@@ -92,6 +92,17 @@ def test_held_out_gain_is_that_of_refits(dropped: slice) -> None:
         assert variance[b] == pytest.approx(predicted[b] + along @ spread @ along, rel=1e-9)
 
 
+def test_held_out_loss_is_that_of_the_same_fit_without_some_columns() -> None:
+    x, y, block = problem()
+    loss = design(x, y, block).held_out_loss(slice(2, 4))
+    for b in range(BLOCKS):
+        here, others = block == b, block != b
+        beta = np.linalg.lstsq(x[others], y[others], rcond=None)[0]
+        fewer = np.where(np.isin(np.arange(beta.size), (2, 3)), 0.0, beta)
+        full, without = (y[here] - x[here] @ one for one in (beta, fewer))
+        assert loss[b] == pytest.approx(without @ without - full @ full, rel=1e-9)
+
+
 def test_a_column_of_one_block_says_nothing_of_it() -> None:
     """Held out, its block is predicted without that column; a filter's tail elsewhere is rounding error."""
     x, y, block = problem(columns=4)

@@ -60,7 +60,7 @@ def test_a_wave_that_a_named_cause_imitates_is_in_the_extended_model() -> None:
     found = diagnose(prepared(made), drive, np.random.default_rng(0))
     assert [cause.effect.name for cause in found.causes] == ["input_encoder_eccentricity"]
     assert found.rms.extended < 1.1 * NOISE
-    assert not any("signals are late" in one.torque_law for one in found.unexplained)
+    assert not any("as the model runs" in one.torque_law for one in found.unexplained)
 
 
 @pytest.mark.parametrize(

@@ -377,7 +377,7 @@ def _described(record: Record, lines: list[Unexplained], rms: Rms, wanders: bool
         what = "wanders in phase or amplitude, which the fit follows and a model that runs cannot"
         lines = [*lines, Unexplained(0.0, "input", math.sqrt(2.0) * rms.wandering, *_NO_LAWS, what)]
     elif rms.foretellable > MISFIT * rms.noise and math.isnan(rms.discarded) and not rms.misfit.suspected:
-        what = "is left only as the model runs: its signals are late"
+        what = "is left only as the model runs: with late signals, without parts that held-out data deny"
         lines = [*lines, Unexplained(0.0, "input", beyond, *_NO_LAWS, what)]
     if lines or not rms.misfit.suspected:
         return tuple(lines)

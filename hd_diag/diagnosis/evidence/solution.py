@@ -269,11 +269,9 @@ def _functions(fit: LinearisedFit, chosen: Chosen, larger: Collection[str]) -> t
         rms, most = float(np.std(part)), int(np.argsort(np.abs(part))[int(_NEARLY_ALL * (part.size - 1))])
         where = getattr(fit.signals, effect.follows)
         together = slice(places[own[0]].start, places[own[-1]].stop)
-        # What others imitate counts too: they were fitted beside it, so a model without it misses all of it.
-        fitted = float(np.std(fit.joined(own) @ beta[together]))
-        described = effect.lasting and fitted >= LEAST_SIZE
-        if described and rms >= LEAST_SIZE:
-            described = 0.5 * TEMPER * float(built.held_out_gain(together)[0].sum()) > ODDS
+        # A model without it misses all of it, also what others imitate: they were fitted beside it.
+        described = effect.lasting and float(np.std(fit.joined(own) @ beta[together])) >= LEAST_SIZE
+        described = described and 0.5 * TEMPER * float(built.held_out_loss(together).sum()) > ODDS
         found.append(
             Function(
                 effect,

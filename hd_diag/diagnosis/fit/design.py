@@ -147,6 +147,18 @@ class Design:
             variance[block] = predicted[block] + along @ spread @ along
         return gain, predicted, variance
 
+    def held_out_loss(self, dropped: slice) -> Floats:
+        """Increase of each block's residual sum of squares without some columns, shape (blocks,).
+
+        All coefficients come from a fit to the other blocks, with these columns: nothing takes their place.
+        """
+        loss = np.empty(self.square.size)
+        for block, (g, m, _, _, beta, _) in enumerate(self._by_others):
+            part = np.zeros(beta.size)
+            part[dropped] = beta[dropped]
+            loss[block] = 2.0 * part @ (m - g @ beta) + part @ g @ part
+        return loss
+
     def prior_gain(self, dropped: slice) -> tuple[float, float]:
         """Gain by some columns in the prior term of the others, in addition to that in the blocks.
 
