@@ -92,7 +92,8 @@ class Function:
     is_larger : bool
         Whether it is larger than usual. A loop must also exceed the usual lost motion.
     is_described : bool
-        Whether a running model should hold it: it lasts, is large enough and predicts held-out blocks.
+        Whether a running model should hold it: it lasts, is large enough, and without it held-out blocks
+        are predicted worse.
     """
 
     effect: Remainder
