@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from itertools import compress
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,9 +16,10 @@ from hd_diag.diagnosis.detectability import NOT_PROVED, Detectability, testabili
 from hd_diag.diagnosis.evidence.kept_parameters import DISPLACEMENTS, HELD, Kept, kept_parameters
 from hd_diag.diagnosis.evidence.naming import standings
 from hd_diag.diagnosis.evidence.order_table import OrderRow
-from hd_diag.diagnosis.evidence.search import FURTHER_CAUSES, search
+from hd_diag.diagnosis.evidence.search import FURTHER_CAUSES, of_motor, search, without_causes
+from hd_diag.diagnosis.evidence.sets import Set
 from hd_diag.diagnosis.evidence.solution import Cause, Function, Solution, motor_deviations, solution
-from hd_diag.diagnosis.evidence.undeclared_current import is_current, suspected
+from hd_diag.diagnosis.evidence.undeclared_current import is_current, is_suspected
 from hd_diag.diagnosis.evidence.unexplained import Unexplained, unexplained, with_table
 from hd_diag.diagnosis.extension import encoder_zeros, extended_model
 from hd_diag.diagnosis.findings import Finding
@@ -35,7 +37,6 @@ from hd_diag.diagnosis.subsampling import some_rows
 from hd_diag.diagnosis.work import Work
 from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE, Catalogue
-from hd_diag.effects.effect import Stage
 from hd_diag.extended_model import ExtendedModel
 from hd_diag.formatting import words
 
@@ -46,7 +47,6 @@ _TESTED = 0.9  # share of the time limit at which the detectability test must en
 _KEPT = 0.7  # the same, for testing which parameters are as configured
 _KEPT_TEST = "testing which parameters may be as configured"
 _NO_LAWS = ("no law was found", "no law was found")
-_BY_TORQUE = ("friction", "torsion")  # kinds of causes that motor friction and torque constant imitate
 _BY_GRAVITY = ("output_runout", "output_encoder_eccentricity")  # once per output turn, as gravity is
 _BY_MOTOR = "a motor's own friction and constant imitate it: measure the torque at the joint"
 _HIDDEN = "more than noise is left at the gear's lines: what else is wrong may hide it"
@@ -153,11 +153,8 @@ class Diagnosis:
         elif self.refitted and fit_parameters.at_bound(self.refitted.parameters, self.configured):
             why = _AT_BOUND
         elif self.record.by_current:
-            of_motor = (
-                effect.kind in _BY_TORQUE or effect.stage == Stage.TORQUE or effect.name in _BY_GRAVITY
-                for effect in self.catalogue
-            )
-            names, why = list(compress(names, of_motor)), _BY_MOTOR
+            names = [one.name for one in self.catalogue if of_motor(one) or one.name in _BY_GRAVITY]
+            why = _BY_MOTOR
         return _NO_CAUSES | (dict.fromkeys(names, why) if why else {})
 
     @property
@@ -224,9 +221,10 @@ def diagnose(
     record, misleading = without_misleading_torque(record, configured, test, rng)
     findings = (*findings, *([misleading] if misleading else []))
     work.tell(0.02, "fitting the model's own parameters")
-    record, begun = _begun(record, configured, test, rng, catalogue, work)
+    fitted = partial(_fitted, configured=configured, test=test, rng=rng, catalogue=catalogue, work=work)
+    record, start = _begun(record, fitted)
     work.tell(0.15, "looking for causes")
-    found = search(begun.starts, begun.every, rng, begun.torque_zero)
+    found = search(start.fits, start.every, rng, start.torque_zero, start.first)
     best, kept = found.best, Kept({})
     work.tell(0.62, "testing which parameters are as configured")
     with work.until(_KEPT, _KEPT_TEST):
@@ -280,27 +278,32 @@ def diagnose(
     return replace(result, left_out=tuple(work.left_out))
 
 
-class _Begun(NamedTuple):
-    """What a search begins with: fits of some rows, the fit of all rows, and the torque's zero [N m]."""
+class _Start(NamedTuple):
+    """What a search begins with.
 
-    starts: list[LinearisedFit]
+    Fits of some rows, the set without causes at the first of them, the fit of all rows, and the torque's zero
+    [N m].
+    """
+
+    fits: list[LinearisedFit]
+    first: Set
     every: LinearisedFit
     torque_zero: float
 
 
-def _begun(record: Record, *given: Any) -> tuple[Record, _Begun]:
-    """What a search begins with, and the record: its torque may be a current that nobody declared."""
-    begun = _fitted(record, *given)
-    if (reported := suspected(begun.starts[0])) is not None:
-        current = _fitted(replace(record, by_current=True), *given)
-        if is_current(reported, current.starts[0]):
+def _begun(record: Record, fitted: Callable[[Record], _Start]) -> tuple[Record, _Start]:
+    """The record and what a search begins with: its torque may be a current that nobody declared."""
+    start = fitted(record)
+    if is_suspected(start.first):
+        current = fitted(replace(record, by_current=True))
+        if is_current(start.first, current.first):
             return replace(record, by_current=True, undeclared=True), current
-    return record, begun
+    return record, start
 
 
 def _fitted(
     record: Record, configured: Drive, test: Rows, rng: np.random.Generator, catalogue: Catalogue, work: Work
-) -> _Begun:
+) -> _Start:
     """The parameters fitted to all rows that are not held out, from many starts."""
     if record.by_current:
         every, first = less_motor(record, configured, ~test, rng, catalogue, work)
@@ -308,7 +311,8 @@ def _fitted(
         first = refit(renumbered(record.select(~test)), configured, rng)
         every = linearise(record, configured, first.parameters, rows=~test, catalogue=catalogue, work=work)
     every = every.passed()
-    return _Begun(_starts(every, test, some_rows(record, _SEARCHED_ROWS)), every, first.torque_zero)
+    fits = _starts(every, test, some_rows(record, _SEARCHED_ROWS))
+    return _Start(fits, without_causes(fits[0]), every, first.torque_zero)
 
 
 def _starts(begun: LinearisedFit, test: Rows, some: Integers) -> list[LinearisedFit]:

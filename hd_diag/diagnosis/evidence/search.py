@@ -70,14 +70,19 @@ def competes(fit: LinearisedFit, effect: Effect) -> bool:
     return effect.stage != Stage.TORQUE and fit.data.testable(effect)[0]
 
 
+def of_motor(effect: Effect) -> bool:
+    """Whether an effect acts as torque: the motor's own friction and constant imitate it."""
+    return effect.kind in _BY_TORQUE or effect.stage == Stage.TORQUE
+
+
 def is_searched(fit: LinearisedFit, effect: Effect) -> bool:
     """Whether a record can be searched for a cause.
 
     If the torque is computed from motor current, effects that act as torque belong to the motor and are not
     searched for. Model parameters and the shape of the torsion are not causes.
     """
-    of_motor = effect.kind in _BY_TORQUE or effect.stage == Stage.TORQUE
-    return competes(fit, effect) and effect.name not in _OF_MODEL and not (fit.data.given and of_motor)
+    belongs = bool(fit.data.given) and of_motor(effect)
+    return competes(fit, effect) and effect.name not in _OF_MODEL and not belongs
 
 
 def searched(fit: LinearisedFit) -> list[Effect]:
@@ -133,6 +138,11 @@ def begun(fit: LinearisedFit) -> Set:
     return max([first, *_by_no_motor(first)], key=lambda one: one.value)
 
 
+def without_causes(start: LinearisedFit) -> Set:
+    """The set without causes from a fit, with the noise learned there."""
+    return begun(start.with_noise(start.data.given))
+
+
 def _by_no_motor(at: Set) -> list[Set]:
     """The same set settled from zero motor torque: the fit of the motor's own torque has several minima."""
     points = [(effect, nonlinear) for effect, _ in at.motor for nonlinear in effect.grid]
@@ -174,7 +184,11 @@ class Found:
 
 
 def search(
-    starts: list[LinearisedFit], every: LinearisedFit, rng: np.random.Generator, torque_zero: float = 0.0
+    starts: list[LinearisedFit],
+    every: LinearisedFit,
+    rng: np.random.Generator,
+    torque_zero: float = 0.0,
+    first: Set | None = None,
 ) -> Found:
     """The best set of causes, and its rivals at other minima of the parameters.
 
@@ -190,9 +204,11 @@ def search(
     torque_zero : float
         The torque's zero by a fit from many starts [N m]. If it puts many torques on the other flank, steps
         from the reported torque cannot reach it.
+    first : Set, optional
+        :func:`without_causes` of the first start, if it is known.
     """
     work = every.work
-    first = begun(starts[0].with_noise(starts[0].data.given))
+    first = first or without_causes(starts[0])
     whiten = first.relearned.fit.whiten
     minima = [begun(replace(start, whiten=whiten)) for start in starts]
     if turned := _with_torque_zero(minima[0].at(starts[0].parameters), torque_zero):
@@ -224,10 +240,10 @@ def search(
     if minima[0] is not scanned:
         minima[0], reach = _along_datum_in_time(minima[0], rows)
     some = _of_causes(minima[0])
-    best, known = some.moved_to(every).settled(TO_MINIMUM).polished(), _plain(instead)
+    best = some.moved_to(every).settled(TO_MINIMUM).polished()
     if best.fit.held:  # all rows may show a displacement that some rows do not
         best = max(best, best.at(starts[0].parameters).settled(TO_MINIMUM), key=lambda one: one.value)
-    instead = known = {name: odds for name, odds in known.items() if name in some.names}
+    instead = known = {name: odds for name, odds in _plain(instead).items() if name in some.names}
     with work.until(SEARCHED, FURTHER_CAUSES):
         for turn in range(_TURNS):
             _tell(work, 0.5, turn, "weighing causes on all rows")

@@ -285,13 +285,7 @@ def _functions(fit: LinearisedFit, chosen: Chosen, larger: Collection[str]) -> t
                 described,
             )
         )
-    in_model = {
-        one
-        for each in found
-        if each.is_described
-        for one in _of_one_order(chosen, (each.effect, each.nonlinear))
-    }
-    return tuple(replace(one, is_described=(one.effect, one.nonlinear) in in_model) for one in found)
+    return tuple(found)
 
 
 class _Numbers(NamedTuple):

@@ -8,24 +8,21 @@ import numpy as np
 
 from hd_diag.arrays import Rows
 from hd_diag.diagnosis.calibration import CERTAIN_SIZE, ODDS, PRESENT
-from hd_diag.diagnosis.evidence.search import TO_MINIMUM, begun
+from hd_diag.diagnosis.evidence.search import TO_MINIMUM
 from hd_diag.diagnosis.evidence.sets import Set
-from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.diagnosis.noise import Whitening
 from hd_diag.effects.mesh_torque import MeshTorque
 from hd_diag.effects.motor_current import FRICTION
 from hd_diag.effects.remainders import SPEED
 
 
-def suspected(fit: LinearisedFit) -> Set | None:
-    """The set without causes if its part that follows the speed is larger than usual; otherwise None."""
-    if not fit.data.source.has_torque or fit.data.given:
-        return None
-    at = begun(fit.with_noise(()))
-    return at if at.widths[SPEED.name] > 1.0 else None
+def is_suspected(reported: Set) -> bool:
+    """Whether a part that follows the speed is larger than usual beside a torque that nobody declared."""
+    data = reported.fit.data
+    return data.source.has_torque and not data.given and reported.widths[SPEED.name] > 1.0
 
 
-def is_current(reported: Set, fit: LinearisedFit) -> bool:
+def is_current(reported: Set, current: Set) -> bool:
     """Whether the torque is a motor's current, with the probability at which causes are named.
 
     The motor's friction must certainly take power. Friction of the joint, which acts on the mesh as well,
@@ -33,12 +30,9 @@ def is_current(reported: Set, fit: LinearisedFit) -> bool:
 
     Parameters
     ----------
-    reported : Set
-        Without causes, with the torque as reported.
-    fit : LinearisedFit
-        Of the same rows, with the motor's own torque.
+    reported, current : Set
+        Without causes, of the same rows: with the torque as reported, and with the motor's own torque.
     """
-    current = begun(fit.with_noise(fit.data.given))
     # The fit with a motor has more starts: a better minimum that needs no motor is no sign of one.
     same = replace(reported, widths=current.widths).at(current.fit.parameters).settled(TO_MINIMUM)
     reported = max(reported, same, key=lambda one: one.value)
