@@ -143,8 +143,11 @@ CAUSES = {
     ),
     "warm": (lambda: bench(DRIFT, record=warming()), {"thermal_drift"}),
     "off centre": (lambda: arm(RUNOUT), {"output_runout"}),
+    "another ratio": (lambda: bench(lambda signals: 3e-5 * signals.output_angle), {"ratio_error"}),
     "one direction": (of_one_direction, {"torque_offset", "coulomb_windup"}),
 }  # fmt: skip
+
+
 NONE = {
     "lines": lambda: bench(wave(45.0), wave(87.0)),
     "beside the gear's": lambda: bench(wave(99.0), wave(45.0)),
@@ -531,6 +534,22 @@ def test_a_usual_wave_that_falls_and_turns_is_no_cause(exponential: bool) -> Non
         return np.asarray(5.0 * ARCSEC * size * np.cos(phase - 1.0))
 
     assert searched(bench(usual, record=swinging(60.0))).named == {}
+
+
+@pytest.mark.parametrize(("member", "number", "further"), [(0, 6, 0.5), (0, 6, 1.0), (1, 2, 0.0)])
+def test_a_wave_of_teeth_that_falls_with_the_load_is_no_other_cause(
+    member: int, number: int, further: float
+) -> None:
+    """Damage, a ripple of the torque sensor or of the encoder explains it better than a constant wave."""
+
+    def falling(signals: Signals) -> np.ndarray:
+        load = np.abs(signals.torque / CONFIGURED.rated_torque)
+        size = 9.0 * np.exp(-1.5 * load) if member else 1.5 / (1.0 + load)
+        angle = (signals.input_angle, signals.flexspline_angle)[member] - 0.2
+        waves = np.cos(number * angle) + further * np.cos((number + 2) * angle)
+        return np.asarray(ARCSEC * size * waves)
+
+    assert searched(bench(falling, record=swinging(60.0))).named.keys() <= {"flexspline_pitch"}
 
 
 def test_a_cause_does_not_take_the_gears_own_wave_for_its_further_order() -> None:

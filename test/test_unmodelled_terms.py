@@ -50,7 +50,7 @@ def test_columns_are_finite_and_of_order_one(term: UnmodelledTerm) -> None:
     speed = both_ways(24.0) * (np.arange(24 * 50) % 300 > 40)
     speeds = {"rests": speed}
     speeds |= dict.fromkeys(("place", *(line.name for line in OUTPUT_LINES)), np.full(1200, 400.0))
-    signals = made(speeds.get(term.name, np.abs(speed) * 3.0), wave(24.0))
+    signals = made(speeds.get(term.name, np.abs(speed) * 3.0), CONFIGURED.rated_torque / 25.0 * wave(24.0))
     assert term.testable(signals)[0]
     start = term.starts(signals).points[0]
     found = term.columns(signals, start)
@@ -211,8 +211,23 @@ def test_a_line_is_not_the_gear_s_nor_an_encoder_s(number: int) -> None:
 def test_a_line_of_the_input_is_the_strongest_that_no_gear_must_have(number: float) -> None:
     signals = made(np.full(FEW, 1.3))
     waves = [np.cos(order * signals.wave_generator_angle) for order in (number, *LINES)]
-    starts = INPUT_LINE.starts(signals, waves[0] + 5.0 * np.sum(waves[1:], axis=0))
-    assert starts.points[0] == (number,)
-    assert not {(float(order),) for order in LINES} & {*starts.points}
-    wave = INPUT_LINE.columns(signals, (number,)) @ np.array([1.0, 0.0])
+    starts = INPUT_LINE.starts(signals, waves[0] + 5.0 * np.sum(waves[1:], axis=0)).points
+    assert starts[0] == (number, 0.0)
+    assert not {(float(order), 0.0) for order in LINES} & {*starts}
+    wave = INPUT_LINE.columns(signals, (number, 0.0))[:, 0]
     assert_allclose(wave, np.cos(number * signals.wave_generator_angle))
+
+
+@pytest.mark.parametrize("member", [0.0, 1.0])
+def test_a_line_of_the_teeth_falls_with_the_load_and_has_a_further_part(member: float) -> None:
+    """A flexspline's wave has 2.02 periods per input turn at a ratio of 100."""
+    signals = made(np.concatenate((np.full(2000, 39.3), np.full(800, -39.3))), wave(56.0))
+    angle = (signals.wave_generator_angle, signals.flexspline_angle)[int(member)]
+    number = 2.0 if member else 6.0
+    load = np.sqrt(np.abs(signals.torque) / signals.rated_torque)
+    rest = (1.0 - 0.5 * load) * np.cos(number * angle - 0.7) + 0.3 * np.cos((number + 2.0) * angle)
+    columns = INPUT_LINE.columns(signals, (number, member))
+    assert_allclose(columns @ np.linalg.lstsq(columns, rest, rcond=None)[0], rest, atol=1e-9)
+    assert (number, member) in INPUT_LINE.starts(signals, rest).points
+    periods = np.polyfit(signals.input_angle, number * angle, 1)[0] / 1.0
+    assert INPUT_LINE.order(signals, (number, member)) == pytest.approx(abs(periods))

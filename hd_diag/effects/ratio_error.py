@@ -1,4 +1,4 @@
-"""A declared ratio that is not the real one: the error grows with every turn."""
+"""A declared ratio that is not the real one: the error grows with the output angle."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from functools import partial
 
 from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Effect, Values
-from hd_diag.effects.excitation import enough_input_turns
+from hd_diag.effects.excitation import both_directions, enough_output_turns
 from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.signals import Signals
 
@@ -25,9 +25,9 @@ EFFECT = RatioError(
     kind="kinematic",
     frame="output",
     needs=("output_angle",),
-    excitation=(partial(enough_input_turns, turns=1.0),),
-    searched=False,
-    quantities=(Quantity("relative_error", "-", -1.0, 1e3, 1e-3, "declared over real ratio, less one"),),
+    # Over less of a turn a wave of the output is a ramp; one way only, so is a drift.
+    excitation=(partial(enough_output_turns, turns=0.4), both_directions),
+    quantities=(Quantity("relative_error", "-", -1.0, 1e3, 1e-4, "declared over real ratio, less one"),),
     confused_with=("output_runout", "thermal_drift", "tooth_skip"),
     source="definition of the transmission error",
     inspect=(

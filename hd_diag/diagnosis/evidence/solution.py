@@ -15,7 +15,7 @@ from hd_diag.diagnosis.calibration import LEAST_SIZE, ODDS, TEMPER, USUAL_LOOP
 from hd_diag.diagnosis.evidence.naming import Standing, left_by
 from hd_diag.diagnosis.evidence.order_table import OrderRow
 from hd_diag.diagnosis.evidence.sets import Set
-from hd_diag.diagnosis.evidence.unmodelled_terms import UnmodelledTerm
+from hd_diag.diagnosis.evidence.unmodelled_terms import UnmodelledLine, UnmodelledTerm
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.design import interval
 from hd_diag.diagnosis.fit.joint_refinement import covariance
@@ -50,8 +50,9 @@ class Cause:
     gain, gain_low, gain_high : float
         Share of the held-out deviance that it explains, with its 95 % interval.
     shared : ndarray, shape (k,)
-        Change of its coefficients if slow remainders have their usual width. A grown remainder may contain a
-        part of the cause, or the cause a part of it. The covariance includes this change.
+        Change of its coefficients with slow remainders at their usual width and without unmodelled lines.
+        Either may contain a part of the cause, or the cause a part of it. The covariance includes this
+        change.
     others : tuple of (Effect, coefficients)
         Causes that this record cannot distinguish from it, at the sizes that reproduce its part.
     """
@@ -207,15 +208,17 @@ def _others(
 
 
 def _shared(best: Set) -> dict[str, Floats]:
-    """Change of each cause's coefficients if slow remainders have their usual width, by name."""
+    """Change of coefficients by cause with slow remainders at usual width, without unmodelled lines."""
     best = best if best.widths else best.valued()
     evidence = best.evidence()
     slow = {effect.name for effect, _ in best.remainders.items if effect not in ORDERS}
-    usual = {name: 1.0 if name in slow else width for name, width in best.widths.items()}
+    lines = {effect.name for effect, _ in best.causes if isinstance(effect, UnmodelledLine)}
+    usual = {name: 1.0 if name in slow else width for name, width in best.widths.items() if name not in lines}
     there, here = (evidence.coefficients(widths)[1] for widths in (usual, best.widths))
     return {
         effect.name: (there[effect.name] - here[effect.name])[: effect.size] * effect.usual
         for effect, _ in best.causes
+        if effect.name not in lines
     }
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.evidence.order_table import order_table
 from hd_diag.diagnosis.evidence.solution import Solution
-from hd_diag.diagnosis.evidence.unmodelled_terms import InputLine, OutputLine, UnmodelledTerm
+from hd_diag.diagnosis.evidence.unmodelled_terms import UnmodelledLine, UnmodelledTerm
 from hd_diag.diagnosis.evidence.waves import Remainder, Rows, Wave, Weight, strongest
 from hd_diag.diagnosis.fit.present_effects import Item
 from hd_diag.formatting import ARCSEC
@@ -70,7 +70,7 @@ def unexplained(found: Solution) -> list[Unexplained]:
     terms = [
         item
         for item in found.given
-        if isinstance(item[0], UnmodelledTerm) and not isinstance(item[0], (InputLine, OutputLine))
+        if isinstance(item[0], UnmodelledTerm) and not isinstance(item[0], UnmodelledLine)
     ]
     return [_term(found, item, rest) for item in terms] + lines(rest, waves(rest))
 

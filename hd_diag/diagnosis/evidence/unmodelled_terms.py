@@ -15,7 +15,7 @@ from hd_diag.effects.encoder_interpolation import is_round
 from hd_diag.effects.excitation import output_turns
 from hd_diag.effects.order_spectrum import integer_orders, peaks
 from hd_diag.effects.output_encoder_interpolation import EFFECT as OUTPUT_ENCODER_LINES
-from hd_diag.effects.quantity import Quantity, amplitude, direction, turning
+from hd_diag.effects.quantity import Quantity, amplitude, direction, switch, turning
 from hd_diag.effects.remainders import LINES
 from hd_diag.effects.signals import Signals
 from hd_diag.formatting import ARCSEC
@@ -30,7 +30,11 @@ _LOWEST, _HIGHEST = 8, 1.9  # lowest line per output turn; highest per input tur
 _FEWEST = 8  # fewest lines of a usual input encoder
 _EVERY = np.arange(3, 41)
 # Orders of the input that are neither a line of any gear nor a usual line number of an encoder.
-_ORDERS = _EVERY[~np.isin(_EVERY, LINES) & ((_EVERY < _FEWEST) | ~is_round(_EVERY))]
+# Seen from the flexspline, those of its teeth.
+_ORDERS = (
+    _EVERY[~np.isin(_EVERY, LINES) & ((_EVERY < _FEWEST) | ~is_round(_EVERY))],
+    np.array([2, 4, 6, 8]),
+)
 _PEAKS = 3  # highest peaks of a spectrum to start from
 
 
@@ -106,7 +110,16 @@ def _around(values: Floats, bump: Floats) -> Floats:
 
 
 @dataclass(frozen=True, kw_only=True)
-class OutputLine(UnmodelledTerm):
+class UnmodelledLine(UnmodelledTerm):
+    """A wave; the first nonlinear value counts its periods."""
+
+    def order(self, signals: Signals, nonlinear: Values) -> float:
+        """Periods per turn of the input."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True)
+class OutputLine(UnmodelledLine):
     """A wave with a whole number of periods per output turn, as rollers of an output bearing would leave.
 
     Orders of the gear and line numbers of encoders are excluded: they belong to causes.
@@ -115,6 +128,10 @@ class OutputLine(UnmodelledTerm):
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """See :meth:`Effect.columns`."""
         return turning(nonlinear[0] * signals.output_angle)
+
+    def order(self, signals: Signals, nonlinear: Values) -> float:
+        """See :meth:`UnmodelledLine.order`."""
+        return nonlinear[0] / abs(signals.ratio)
 
     def testable(self, signals: Signals) -> tuple[bool, str]:
         """Whether some line passes several periods."""
@@ -132,15 +149,25 @@ class OutputLine(UnmodelledTerm):
 
 
 @dataclass(frozen=True, kw_only=True)
-class InputLine(UnmodelledTerm):
-    """A wave with a whole number of periods per input turn.
+class InputLine(UnmodelledLine):
+    """A wave with a whole number of periods per input turn, seen from the case or from the flexspline.
 
-    Lines of any gear and line numbers of encoders are excluded: they have terms of their own.
+    Seen from the case, lines of any gear and line numbers of encoders are excluded: they have terms of their
+    own. The amplitude may change with the torque, as that of a wave from the teeth does. Such a wave is no
+    pure sine: both lobes pass each tooth, so its next part has two periods more.
     """
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
-        """See :meth:`Effect.columns`."""
-        return turning(nonlinear[0] * signals.wave_generator_angle)
+        """The wave, the wave times the root of the load, and its next part; see :meth:`Effect.columns`."""
+        number, angle = nonlinear[0], _seen_from(signals)[int(nonlinear[1])]
+        wave, following = turning(number * angle), turning((number + 2.0) * angle)
+        load = np.sqrt(np.minimum(np.abs(signals.torque) / signals.rated_torque, 1.0))
+        return np.concatenate((wave, load[:, None] * wave, following), axis=1)
+
+    def order(self, signals: Signals, nonlinear: Values) -> float:
+        """See :meth:`UnmodelledLine.order`."""
+        number, member = nonlinear
+        return number * (1.0 + member / signals.contact.drive.mesh.geometry.reduction)
 
     def testable(self, signals: Signals) -> tuple[bool, str]:
         """Whether the input turns several times."""
@@ -148,11 +175,20 @@ class InputLine(UnmodelledTerm):
         return turned > 2.0 * np.pi * _PERIODS, "the input turns too little to show a line"
 
     def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
-        """The strongest whole orders of a residual."""
+        """The strongest whole orders of a residual, seen from either member."""
+        trials = sum(orders.size for orders in _ORDERS)
         if residual is None:
-            return Starts([(float(_ORDERS[0]),)], _ORDERS.size)
-        strength = integer_orders(signals.wave_generator_angle, residual, int(_ORDERS[-1]))[_ORDERS]
-        return Starts([(float(one),) for one in _ORDERS[peaks(strength, 0)[:_PEAKS]]], _ORDERS.size)
+            return Starts([(float(_ORDERS[0][0]), 0.0)], trials)
+        found = list[Values]()
+        for member, (angle, orders) in enumerate(zip(_seen_from(signals), _ORDERS, strict=True)):
+            strength = integer_orders(angle, residual, int(orders[-1]))[orders]
+            found += [(float(one), float(member)) for one in orders[peaks(strength, 0)[:_PEAKS]]]
+        return Starts(found, trials)
+
+
+def _seen_from(signals: Signals) -> tuple[Floats, Floats]:
+    """Angle of the wave generator in the case and in the flexspline [rad], shape (n,) each."""
+    return signals.wave_generator_angle, signals.flexspline_angle
 
 
 def _line_numbers(signals: Signals) -> Integers:
@@ -270,7 +306,8 @@ UNMODELLED_TERMS = (
         quantities=(
             amplitude("amplitude", "rad", 1e-3, 3.0 * ARCSEC, "of the transmission error"),
             direction("phase", "of the wave at the wave generator's angle zero"),
-            Quantity("number", "-", 3.0, 1e3, 1.0, "periods per input turn", False, discrete=True),
+            Quantity("number", "-", 2.0, 1e3, 1.0, "periods per input turn", False, discrete=True),
+            switch("member", "seen from 0: the case, 1: the flexspline"),
         ),
     ),
 )

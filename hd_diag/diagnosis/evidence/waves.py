@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.calibration import LEAST_SIZE
-from hd_diag.diagnosis.evidence.unmodelled_terms import InputLine, OutputLine
+from hd_diag.diagnosis.evidence.unmodelled_terms import UnmodelledLine
 from hd_diag.diagnosis.fit.design import design, f_test, holds, orthonormal, projection
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.noise import Whitening, whitening
@@ -91,13 +91,14 @@ class Remainder:
         beside = np.concatenate((fit.always(), fit.joined(known)), axis=1)
         residual, lines = fit.remainder(chosen), []
         for item, place in zip(chosen, fit.places(chosen), strict=True):
-            if not _is_line(item[0]) or (isinstance(item[0], Line) and item[0].order not in orders):
+            effect, nonlinear = item
+            if isinstance(effect, UnmodelledLine):
+                lines.append(effect.order(s, nonlinear))
+            elif isinstance(effect, Line) and effect.order in orders:
+                lines.append(float(effect.order))
+            else:
                 continue
             residual = residual + fit.columns(*item) @ beta[place]
-            if isinstance(item[0], Line):
-                lines.append(float(item[0].order))
-            else:
-                lines.append(item[1][0] / (abs(s.ratio) if isinstance(item[0], OutputLine) else 1.0))
         return Remainder(
             s.time,
             s.input_angle,
@@ -141,7 +142,7 @@ class Remainder:
 
 
 def _is_line(effect: Effect) -> bool:
-    return isinstance(effect, (InputLine, OutputLine, Line))
+    return isinstance(effect, (UnmodelledLine, Line))
 
 
 def strongest(rest: Remainder) -> Wave | None:
