@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from hd_diag.diagnosis.record import GAP_STEPS, segments
 from hd_diag.diagnosis.stamps import without_bursts, without_jitter
 
 RATE, COUNT = 500.0, 5000  # [Hz]
@@ -65,16 +64,20 @@ def test_other_stamps_stay(stamps, shown) -> None:
 
 
 IN_BURST = np.arange(COUNT) % 8
-BURSTS = EVEN - IN_BURST / RATE + 20e-6 * IN_BURST  # the recorder empties its buffer every eight rows
+BURSTS = EVEN + (7 - IN_BURST) * (1.0 / RATE - 20e-6)  # the recorder empties its buffer at every eighth row
 PAUSED = BURSTS + 7.0 * (np.arange(COUNT) >= 2400)
 
 
 def even(stamps: np.ndarray, shown: np.ndarray) -> tuple[np.ndarray, float]:
-    one = ONE[: stamps.size]
-    return without_bursts(stamps, shown, one, segments(stamps, one, GAP_STEPS))
+    return without_bursts(stamps, shown, ONE[: stamps.size])
 
 
-@pytest.mark.parametrize("stamps", [BURSTS, PAUSED], ids=["on and on", "with a pause"])
+NOW_AND_THEN = np.where(np.arange(COUNT) % 40 < 8, BURSTS, EVEN)
+
+
+@pytest.mark.parametrize(
+    "stamps", [BURSTS, PAUSED, NOW_AND_THEN], ids=["on and on", "with a pause", "now and then"]
+)
 def test_rows_stamped_in_bursts_were_sampled_evenly(stamps) -> None:
     found, rows = even(stamps, angle(EVEN))
     assert rows == 8.0

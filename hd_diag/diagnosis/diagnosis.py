@@ -377,11 +377,11 @@ def parameter_sizes(record: Record, configured: Drive, parameters: Floats) -> di
 
 def _described(record: Record, lines: list[Unexplained], rms: Rms, wanders: bool) -> tuple[Unexplained, ...]:
     """Unexplained parts; there is always an entry if the residual exceeds the noise."""
-    beyond = math.sqrt(2.0 * max(rms.extended**2 - rms.wandering**2 - rms.noise**2, 0.0))
-    if wanders and rms.extended > MISFIT * rms.noise:
+    beyond = math.sqrt(2.0 * max(rms.extended**2 - rms.wandering**2 - rms.expected**2, 0.0))
+    if wanders and rms.extended > MISFIT * rms.expected:
         what = "wanders in phase or amplitude, which the fit follows and a model that runs cannot"
         lines = [*lines, Unexplained(0.0, "input", math.sqrt(2.0) * rms.wandering, *_NO_LAWS, what)]
-    elif rms.foretellable > MISFIT * rms.noise and math.isnan(rms.discarded) and not rms.misfit.suspected:
+    elif rms.foretellable > MISFIT * rms.expected and math.isnan(rms.discarded) and not rms.misfit.suspected:
         what = "is left only as the model runs: with late signals, without parts that held-out data deny"
         lines = [*lines, Unexplained(0.0, "input", beyond, *_NO_LAWS, what)]
     if lines or not rms.misfit.suspected:

@@ -10,23 +10,12 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.blocks import blocks
-from hd_diag.diagnosis.calibration import UNDONE
 from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.record import Record, encoder_bits
 from hd_diag.diagnosis.regression import centered
 
 _FOLLOWS = 0.3  # largest deviation over the output's travel, rms
 _RATIO_MISS = 2e-3  # relative; no transmission error is as large over a turn
-_RAMP_MISS = 8e-5  # relative; torsion by gravity gives half of it over a robot's reach
-_RAMP_ERROR = 1e-4  # ramp that unmodelled parts may give over a recording [rad]
-_LEAST_REACH = 2.5  # least output reach of a recording [rad]; over less, an output wave looks like a ramp
-_PLAIN = 0.5  # least size of the ramps' own part over the residual
-_BY_TORSION = 1.2  # least ramp over the one from torsion, which a noisy torque underestimates
-_LESS = 0.999  # ratio of residuals; two columns reduce it less by chance
-_PARTS = 6
-_CLUSTERS = 60
-_MOST_ROWS = 20_000  # rows in the fit of ramps
-_INPUT_ORDERS = (1, 2, 4)  # orders of waves that any gear may have
 _STEP, _WIDTH = 0.25, 15  # least step, in tooth pitches, over so many rows
 _WHOLE = 0.05  # tolerance of a step of whole teeth [tooth pitches]
 _MOST_STEPS = 20  # the search for steps ends beyond this number
@@ -62,22 +51,6 @@ def follows(record: Record, slope: float, share: float) -> bool:
     """Whether the output is the input times a slope [-] plus an offset per run, to a share of its rms."""
     angle, output = (centered(column, record.run) for column in (record.input_angle, record.output_angle))
     return float(np.std(output - slope * angle)) <= share * float(np.std(output))
-
-
-def check_ramp(record: Record, ratio: float) -> Finding | None:
-    """A finding if the error grows with the output angle, alike in all parts of a record without steps.
-
-    Notes
-    -----
-    The fit has a ramp in each of `_PARTS` parts, and columns for torsion, friction, runout and ripple.
-    Without a measured torque, torsion looks like a ramp, and so does runout over a small part of a turn:
-    these cases give no finding. An eccentric disc with its second wave must explain less than the ramps.
-    """
-    reach = float(np.ptp(centered(record.input_angle / ratio, record.bag)))
-    if not record.has_torque or reach < _LEAST_REACH:
-        return None
-    mean, least = _ramp(record.thinned(_MOST_ROWS), ratio)
-    return wrong_ratio(ratio / (1.0 + mean), ratio) if abs(mean) > max(least, _RAMP_ERROR / reach) else None
 
 
 def wrong_ratio(found: float, configured: float) -> Finding:
@@ -124,54 +97,6 @@ def _usual_slope(record: Record) -> float:
     order = np.argsort(slope)
     half = np.searchsorted(np.cumsum(way[order]), 0.5 * way.sum())
     return float(slope[order][min(int(half), order.size - 1)])
-
-
-def _ramp(record: Record, ratio: float) -> tuple[float, float]:
-    """Mean slope of the error over the output angle [-], and the least slope that counts as a ramp."""
-    ideal = record.input_angle / ratio
-    load = record.torque / max(float(np.max(np.abs(record.torque))), 1e-9)
-    once = _waves(ideal)
-    waves = [wave for order in _INPUT_ORDERS for wave in _waves(order * record.input_angle)]
-    way = record.way
-    shared = (
-        *once,
-        *(load, load * np.abs(load), load**3, record.speed, way, way * load, way * np.abs(load)),
-        *waves,
-        *(load * wave for wave in waves),
-    )
-    rows = np.arange(record.size)
-    part = rows * _PARTS // record.size
-    along = centered(ideal, record.bag)
-    columns = [along * (part == number) for number in range(_PARTS)]
-    columns += [centered(column, record.bag) for column in (*shared, *_waves(2.0 * ideal))]
-    scale = np.array([max(float(np.linalg.norm(c)), 1e-300) for c in columns])
-    scaled = np.stack(columns, axis=1) / scale
-    error = centered(record.output_angle - ideal, record.bag)
-    waved, scaled = scaled[:, _PARTS:], scaled[:, :-2]
-    inverse = np.linalg.pinv(scaled, rcond=1e-6)
-    found = inverse @ error
-    weight = (inverse[:_PARTS] / scale[:_PARTS, None]).mean(axis=0)
-    rest, slopes = error - scaled @ found, found[:_PARTS] / scale[:_PARTS]
-    # Over part of a turn, a wave is nearly a ramp: if the two cancel, neither is real.
-    ramp, wave = slopes.mean() * along, slice(_PARTS, _PARTS + len(once))
-    if np.std(ramp + scaled[:, wave] @ found[wave]) < (1.0 - UNDONE) * np.std(ramp):
-        return 0.0, np.inf
-    left = error - waved @ (np.linalg.pinv(waved, rcond=1e-6) @ error)
-    if np.linalg.norm(left) < _LESS * np.linalg.norm(rest):  # a wave twice per output turn explains it
-        return 0.0, np.inf
-    cluster = np.bincount(rows * _CLUSTERS // record.size, weight * rest)  # allows for correlation within
-    spread = max(float(slopes.std(ddof=1)) / np.sqrt(_PARTS), float(np.sqrt(np.sum(cluster**2))))
-    # Mean slope at which the ramps' own part is as large as the residual.
-    hidden = float(np.linalg.norm(weight) * np.linalg.norm(rest))
-    # Ramp from torsion alone: gravity's torque varies with the angle, a spring's is proportional to it.
-    loads = scaled[:, wave.stop : wave.stop + 3]
-    torsion, alike = (loads @ np.linalg.lstsq(loads, one, rcond=None)[0] for one in (error, along))
-    leaning = float(np.std(torsion) * np.var(alike) / max(float(np.std(along)), 1e-300) ** 3)
-    return float(slopes.mean()), max(_RAMP_MISS, 6.0 * spread, _PLAIN * hidden, _BY_TORSION * leaning)
-
-
-def _waves(angle: Floats) -> tuple[Floats, Floats]:
-    return np.cos(angle), np.sin(angle)
 
 
 def find_steps(

@@ -48,8 +48,10 @@ class Rms:
     reported, unsmoothed torque. All of them contain `wandering`: unpredictable changes of the causes in
     amplitude and phase. `wandering_offline` is the wandering part of `offline`. The noise is `repeated` if it
     comes from states that the motion passed again; otherwise it is a lower bound, from differences between
-    neighbours. `slow` is the residual in means over turns of the input, over the noise [-]; `gear` is that
-    within turns; `beyond` is the slow part over the fit's noise, which includes slow noise.
+    neighbours. `uncertain` is the deviation of the prediction by that of all coefficients: large if held-out
+    rows have states that no others have, as in one move one way. `slow` is the residual in means over turns
+    of the input, over noise and prediction together [-]; `gear` is that within turns, over the noise;
+    `beyond` is as `slow`, but over the fit's noise, which includes slow noise.
     A running model that is worse with causes than without is discarded: `discarded` is its residual without
     wandering, and `named`, `extended`, `live` and `wandering` belong to the parameters alone.
     """
@@ -69,6 +71,7 @@ class Rms:
     slow: float = field(default=math.nan, kw_only=True)
     gear: float = field(default=math.nan, kw_only=True)
     beyond: float = field(default=math.nan, kw_only=True)
+    uncertain: float = field(default=0.0, kw_only=True)
     discarded: float = field(default=math.nan, kw_only=True)
 
     def running(self, other: Rms) -> Rms:
@@ -115,10 +118,16 @@ class Rms:
         return min(self.refit, self.nominal)
 
     @property
+    def expected(self) -> float:
+        """Residual that noise and the deviation of the prediction give together."""
+        return math.hypot(self.noise, self.uncertain)
+
+    @property
     def misfit(self) -> Misfit:
-        """Residual `left` over the noise, with its interval."""
+        """Residual `left` over noise and prediction together, with its interval."""
         value, low, high = (
-            self.left / max(one, 1e-300) for one in (self.noise, self.noise_high, self.noise_low)
+            self.left / max(math.hypot(one, self.uncertain), 1e-300)
+            for one in (self.noise, self.noise_high, self.noise_low)
         )
         return Misfit(value, low, high, self.repeated)
 
@@ -137,7 +146,7 @@ class Gain:
 
 
 class Misfit(NamedTuple):
-    """Held-out rms of the extended model over the noise, and its interval [-].
+    """Held-out rms of the extended model over noise and prediction together, and its interval [-].
 
     The noise is `measured` if the motion passed the same states again; otherwise the value is an upper bound.
     """
@@ -277,7 +286,8 @@ def measured_gain(
     offline = of_fit(_residual_of(every, found.fit, found.chosen))
     foreseen, whiten = offline - projection(wandering, offline), found.fit.whiten
     encoders = replace(whiten, slow=0.0)
-    slow, gear = _bands(foreseen, rest, encoders, rng)
+    uncertain = _uncertain(every, found.fit, found.chosen, test[fitted])
+    slow, gear = _bands(foreseen, rest, encoders, rng, uncertain)
     # A line at torques of held-out rows alone is unpredictable, so the fitted rows' residual counts too.
     gear = min(gear, _bands(rows_fitted, renumbered(found.fit.data.record), encoders, rng)[1])
     rms = Rms(
@@ -295,16 +305,20 @@ def measured_gain(
         wandering_offline=_rms(projection(wandering, offline)),
         slow=slow,
         gear=gear,
-        beyond=_bands(foreseen, rest, whiten, rng)[0],
+        beyond=_bands(foreseen, rest, whiten, rng, uncertain)[0],
+        uncertain=uncertain,
     )
     return rms, explained(nominal, extended, number, which, rng)
 
 
-def _bands(left: Floats, rows: Record, noise: Whitening, rng: np.random.Generator) -> tuple[float, float]:
+def _bands(
+    left: Floats, rows: Record, noise: Whitening, rng: np.random.Generator, uncertain: float = 0.0
+) -> tuple[float, float]:
     """Residual (n,) over the noise [-]: of means over turns of the input, and within turns.
 
     Only complete turns show the gear's lines; slow parts also vary within a turn where the motion reverses.
-    The reference is simulated noise of the measured colour along the same rows.
+    The reference is simulated noise of the measured colour along the same rows. The deviation of the
+    prediction [rad], which is mostly that of slow functions, is added to it in the first.
     """
     turn, lines = rows.turn, rows.through
     alike = noise.drawn(left.size, rng)
@@ -314,8 +328,9 @@ def _bands(left: Floats, rows: Record, noise: Whitening, rng: np.random.Generato
         means = values - within
         return _rms(means - means.mean()), _rms(within[lines])
 
-    slow, gear = (a / max(b, 1e-300) for a, b in zip(parts(left), parts(alike), strict=True))
-    return slow, gear
+    slow, gear = parts(alike)
+    found = parts(left)
+    return found[0] / max(math.hypot(slow, uncertain), 1e-300), found[1] / max(gear, 1e-300)
 
 
 def explained(before: Floats, after: Floats, number: Integers, which: str, rng: np.random.Generator) -> Gain:
@@ -343,6 +358,18 @@ def _residual_of(fit: LinearisedFit, trained: LinearisedFit, chosen: Chosen) -> 
     sized = tuple((item, part[: item[0].size]) for item, part in trained.sized(chosen, beta))
     causes = tuple(one for one in sized if one[0][0].lasting and not isinstance(one[0][0], UnmodelledTerm))
     return np.asarray(residual - fit.beside(sized).effects.together(causes))
+
+
+def _uncertain(fit: LinearisedFit, trained: LinearisedFit, chosen: Chosen, rows: Rows) -> float:
+    """Rms deviation of a prediction by a fit to other rows, at `rows` (n,) [rad]; see `_residual_of`."""
+    parts, at = [fit.always()[rows]], [np.arange(fit.always_white.shape[1])]
+    for item, place in zip(chosen, trained.places(chosen), strict=True):
+        if item[0].lasting and not isinstance(item[0], UnmodelledTerm):
+            parts.append(fit.columns(*item)[rows, : item[0].size])
+            at.append(np.arange(place.start, place.start + parts[-1].shape[1]))
+    columns, places = np.concatenate(parts, axis=1), np.concatenate(at)
+    spread = trained.fit(chosen)[1][np.ix_(places, places)]
+    return math.sqrt(max(float(np.mean(np.sum(columns @ spread * columns, axis=1))), 0.0))
 
 
 def _rms(values: Floats) -> float:

@@ -253,6 +253,11 @@ def _misfit(answer: Answer) -> list[str]:
     if rms is None:
         return []
     left = rms.misfit
+    if not left.suspected and rms.left > MISFIT * rms.noise:
+        return [
+            f"this record tests the model only to {rms.expected / ARCSEC:.0f} arcsec, "
+            "because parts of the motion are driven once: drive it again, or back as well"
+        ]
     if not left.suspected or (left.measured and not left.certain):
         return []
     if not left.certain:

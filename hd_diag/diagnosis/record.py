@@ -231,10 +231,8 @@ def prepare(
     columns |= {"bag": bag, "reported_speed": reported_speed}
     columns = _kept(columns, usable)
     bag, output = columns["bag"], _unwrapped(columns["output_angle"], columns["bag"])
-    segment = segments(columns["time"], bag, GAP_STEPS)
-    columns["time"], in_bursts = without_bursts(columns["time"], output, bag, segment)
-    if in_bursts:
-        stamps, segment = stamps._replace(in_bursts=in_bursts), segments(columns["time"], bag, GAP_STEPS)
+    columns["time"], in_bursts = without_bursts(columns["time"], output, bag)
+    stamps, segment = stamps._replace(in_bursts=in_bursts), segments(columns["time"], bag, GAP_STEPS)
     _check_whole(segment)
     angle = _with_turns(columns["input_angle"], output, bag, segment, ratio)
     if (held := _held(angle / ratio, output, segment)).any():

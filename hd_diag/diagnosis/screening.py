@@ -13,7 +13,6 @@ from hd_diag.arrays import Floats
 from hd_diag.diagnosis.drift import check_velocity
 from hd_diag.diagnosis.findings import (
     Finding,
-    check_ramp,
     check_ratio,
     declared,
     find_steps,
@@ -91,8 +90,7 @@ def screened(record: Record, configured: Drive, limit: int = LIMIT) -> Screened:
     del correction  # one hour takes 30 MB per column
     record = subsample(record, limit)
     torque = _wrong_torque(record, configured) if teeth else None
-    ramp = None if record.by_velocity else check_ramp(record, ratio)
-    found = [one for one in (ramp, torque, *stamps, again, *steps) if one is not None]
+    found = [one for one in (torque, *stamps, again, *steps) if one is not None]
     if torque is not None and torque.name == _TORQUE_SIGN:
         record = replace(record, torque=-record.torque, reported_torque=-record.reported_torque)
     return Screened(record, tuple(found))

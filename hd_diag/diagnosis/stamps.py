@@ -29,7 +29,7 @@ _MOVED = 0.1  # travel below which a speed is noise [rad]
 _CLOCK_WINDOW = 0.5  # time over which a clock runs evenly [s]
 _LEAST_JITTER = 1e-3  # rms, over the usual step
 _BETWEEN = 0.5  # half-way between even sampling and sampling at the stamps
-_MANY = 2  # mean rows in a burst
+_SOME = 0.05  # least share of rows that follow at once; fewer are delayed messages
 _AT_ONCE = 1e-4  # step of stamps below which samples were not taken one after the other [s]: 10 kHz
 _PAUSED = 2.0  # usual lengths of a burst, beyond which the recording paused
 
@@ -68,11 +68,12 @@ def without_jitter(time: Floats, angle: Floats, segment: Integers) -> Floats:
     return even if moved @ jitter < _BETWEEN * (jitter @ jitter) else time
 
 
-def without_bursts(time: Floats, angle: Floats, bag: Integers, segment: Integers) -> tuple[Floats, float]:
+def without_bursts(time: Floats, angle: Floats, bag: Integers) -> tuple[Floats, float]:
     """Times of sampling [s], (n,), and the rows in a burst; the stamps and 0 if they are in no bursts.
 
     A recorder that empties a buffer stamps its rows together: some rows, closer than any joint is sampled,
-    then a pause. They were sampled evenly if the angle moves as much within a burst as from one to the next.
+    after a pause. It may do so all the time or now and then. The rows were sampled evenly since the row
+    before if the angle moves as much within a burst as between bursts.
 
     Parameters
     ----------
@@ -80,28 +81,21 @@ def without_bursts(time: Floats, angle: Floats, bag: Integers, segment: Integers
         Stamps [s], and an angle that moves [rad].
     bag : ndarray of int64, shape (n,)
         Recording of each row, ascending.
-    segment : ndarray of int64, shape (n,)
-        Number of the gap-free stretch of each row, ascending; here each is a burst.
     """
-    step = usual_step(time)
-    if not step < _AT_ONCE:
+    step, moved, same = np.diff(time), np.abs(np.diff(angle)), np.diff(bag) == 0
+    within, across = same & (step < _AT_ONCE), same & ~(step < _AT_ONCE)
+    if within.sum() < _SOME * time.size or not across.any():
         return time, 0.0
-    begun, same = np.diff(segment) != 0, np.diff(bag) == 0
-    first = np.append(0, np.flatnonzero(begun) + 1)
-    count, inside = np.diff(np.append(first, time.size)), same[first[1:] - 1]
-    if time.size < _MANY * first.size or not inside.any():
+    last = np.append(np.flatnonzero(~within), time.size - 1)  # row of each burst, or a row alone
+    count = np.diff(last, prepend=-1)
+    period = np.diff(time[last], prepend=-np.inf)
+    period[np.diff(bag[last], prepend=-1) != 0] = np.inf
+    pace = float(np.median((period / count)[np.isfinite(period)]))
+    if np.median(step[within]) > _BETWEEN * pace or moved[within].mean() < _BETWEEN * moved[across].mean():
         return time, 0.0
-    period = np.diff(time[first])
-    pace = float(np.median((period / count[:-1])[inside]))
-    moved = np.abs(np.diff(angle))
-    within, across = moved[~begun], moved[begun & same]
-    if step > _BETWEEN * pace or within.mean() < _BETWEEN * across.mean():
-        return time, 0.0
-    usual = count * pace
-    paused = np.append(~inside | (period > _PAUSED * usual[:-1]), True)
-    length = np.where(paused, usual, np.append(period, 0.0))
-    row = np.arange(time.size) - np.repeat(first, count)
-    return np.repeat(time[first], count) + row * np.repeat(length / count, count), float(count.mean())
+    local = np.where(period > _PAUSED * count * pace, pace, period / count)
+    rows = np.repeat(last, count) - np.arange(time.size)
+    return np.repeat(time[last], count) - rows * np.repeat(local, count), float(count[count > 1].mean())
 
 
 class Stamps(NamedTuple):

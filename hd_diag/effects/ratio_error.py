@@ -6,7 +6,7 @@ from functools import partial
 
 from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Effect, Values
-from hd_diag.effects.excitation import both_directions, enough_output_turns
+from hd_diag.effects.excitation import both_directions, enough_output_turns, torque_known
 from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.signals import Signals
 
@@ -25,8 +25,8 @@ EFFECT = RatioError(
     kind="kinematic",
     frame="output",
     needs=("output_angle",),
-    # Over less of a turn a wave of the output is a ramp; one way only, so is a drift.
-    excitation=(partial(enough_output_turns, turns=0.4), both_directions),
+    # Over less of a turn a wave of the output is a ramp, one way only a drift, and torsion by a spring.
+    excitation=(partial(enough_output_turns, turns=0.4), both_directions, torque_known),
     quantities=(Quantity("relative_error", "-", -1.0, 1e3, 1e-4, "declared over real ratio, less one"),),
     confused_with=("output_runout", "thermal_drift", "tooth_skip"),
     source="definition of the transmission error",
