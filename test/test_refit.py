@@ -107,9 +107,9 @@ def test_a_rest_is_left_out_unless_the_torque_goes_on() -> None:
 
 def test_terms_that_a_record_does_not_excite_are_left_out() -> None:
     record, _ = generated(3)
-    assert nuisance(record, 100.0).shape[1] == 7
+    assert nuisance(record, 100.0).shape[1] == 6
     one_speed = dataclasses.replace(record, speed=np.full(record.size, 30.0), temperature=None)
-    assert nuisance(one_speed, 100.0).shape[1] == 4
+    assert nuisance(one_speed, 100.0).shape[1] == 3
     small = dataclasses.replace(one_speed, input_angle=0.01 * record.input_angle)
     assert nuisance(small, 100.0).shape[1] == 1
 

@@ -50,6 +50,8 @@ _NO_LAWS = ("no law was found", "no law was found")
 # Once per output turn, as gravity is; over part of a turn, a ramp.
 _BY_GRAVITY = ("output_runout", "output_encoder_eccentricity", "ratio_error")
 _BY_MOTOR = "a motor's own friction and constant imitate it: measure the torque at the joint"
+_RATIO = "ratio_error"
+_OTHER_ANGLE = "the ratio is off, and with it the angle at which the teeth meet: correct it first"
 _HIDDEN = "more than noise is left at the gear's lines: what else is wrong may hide it"
 _AT_BOUND = "a parameter is as far off as it can be: something else takes part in it"
 _UNFINISHED = "there was no time to weigh them against all causes"
@@ -149,10 +151,14 @@ class Diagnosis:
     def _nameless(self) -> dict[str, str]:
         """Effects that would not be named at any size, and the reason."""
         names, why = [effect.name for effect in self.catalogue], ""
+        found = self.found.causes if self.found else ()
         if self.rms and self.rms.misfit.certain and self.rms.hides_lines:
             why = _HIDDEN
         elif self.refitted and fit_parameters.at_bound(self.refitted.parameters, self.configured):
             why = _AT_BOUND
+        elif any(one.alike == (_RATIO,) and not one.standing.doubt for one in found):
+            names.remove(_RATIO)
+            why = _OTHER_ANGLE
         elif self.record.by_current:
             names = [one.name for one in self.catalogue if of_motor(one) or one.name in _BY_GRAVITY]
             why = _BY_MOTOR

@@ -93,7 +93,7 @@ class Motor(NamedTuple):
 
 
 def nuisance(record: Record, ratio: float) -> Floats:
-    """Free terms of every fit: offsets, speed, its sign, temperature, a wave and a ramp of the output.
+    """Free terms of every fit: offsets, speed, its sign, temperature, one cycle per output turn.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def nuisance(record: Record, ratio: float) -> Floats:
     if record.temperature is not None and np.std(record.temperature) > 0.3:
         columns.append(record.temperature - record.temperature.mean())
     if np.ptp(output) > 0.8 * np.pi:
-        columns += [np.cos(output), np.sin(output), output - output.mean()]
+        columns += [np.cos(output), np.sin(output)]
     return np.stack(columns, axis=1)
 
 
