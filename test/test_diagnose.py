@@ -26,6 +26,7 @@ from hd_diag.diagnosis.screening import screened
 from hd_diag.diagnosis.statements import sentence
 from hd_diag.drive import transmission_error
 from hd_diag.effects import CATALOGUE
+from hd_diag.simulation import Motion, Noise, SimulatedJoint, simulate
 
 Patch = pytest.MonkeyPatch
 ROOT = Path(__file__).resolve().parent.parent
@@ -174,6 +175,63 @@ def test_a_ratio_that_is_off_by_little_is_a_cause(seed: int) -> None:
     assert [cause.alike for cause in found.causes] == [("ratio_error",)]
     error = -made.truth["effects"]["ratio_error"]["fraction"]
     assert found.causes[0].coefficients[0] == pytest.approx(error, rel=1e-2)
+
+
+def wide(seconds: float = 100.0) -> dict[str, np.ndarray]:
+    """Columns of a joint that moves to and fro over half a turn of the output."""
+    given = columns(seconds=seconds)
+    return given | {"output": given["output"] + 1.5 * given["input"] / RATIO, "input": 2.5 * given["input"]}
+
+
+def of_a_disc(phase: float) -> dict[str, np.ndarray]:
+    """Over half a turn, orders 1 and 2 of the output together look like a ramp."""
+    given = wide()
+    turn = given["input"] / RATIO - phase
+    error = 45.0 * ARCSEC * (np.cos(turn) + 0.3 * np.cos(2.0 * turn - 1.0))
+    return given | {"output": given["output"] + error}
+
+
+def of_a_spring() -> dict[str, np.ndarray]:
+    """Torque and torsion follow the angle, and noise reduces only the torque's fitted share."""
+    given = wide()
+    noise = np.random.default_rng(0).standard_normal((2, given["time"].size))
+    turned = given["input"] / RATIO
+    torque = 20.0 * turned / float(np.max(np.abs(turned)))
+    return given | {"torque": torque + 0.5 * noise[1], "output": turned - 4e-5 * torque + 1e-6 * noise[0]}
+
+
+def without_torque() -> dict[str, np.ndarray]:
+    """Torsion may make the ramp of a ratio that is off by 0.03 %."""
+    given = wide()
+    return {"time": given["time"], "input": 1.0003 * given["input"], "output": given["output"]}
+
+
+def one_way(seconds: float) -> dict[str, np.ndarray]:
+    """Ripple of a large eccentricity over any part of its turn, in one direction under one load."""
+    drive = joint(eccentricity__magnitude=18e-6).drive
+    motion = Motion(60.0, 250.0, (13.2,), (14.0,), both_directions=False, ramp_share=0.01, rest_share=0.0)
+    run = simulate(SimulatedJoint(drive, Noise(white=ARCSEC)), motion, np.random.default_rng(0))
+    time = 1e-9 * (run.stamp - run.stamp[0])
+    given = {"time": time, "input": run.input_angle, "output": run.output_angle, "torque": run.torque}
+    return {name: column[: round(250.0 * seconds)] for name, column in given.items()}
+
+
+@pytest.mark.parametrize(
+    ("of", "given"),
+    [
+        (of_a_spring, ()),
+        (without_torque, ()),
+        (of_a_disc, (0.5,)),
+        *map(slow, (of_a_disc, of_a_disc), ((2.0,), (-1.0,))),
+        (one_way, (24.0,)),
+        *map(slow, (one_way, one_way), ((17.5,), (47.0,))),
+    ],
+)
+def test_what_only_looks_like_a_ramp_is_no_other_ratio(of: Any, given: tuple) -> None:
+    drive = joint().drive
+    found = diagnose(screened(prepared(of(*given)), drive), drive, np.random.default_rng(0))
+    assert "ratio_error" not in {finding.name for finding in found.findings}
+    assert "ratio_error" not in {name for cause in found.causes for name in cause.alike}
 
 
 def test_a_move_one_way_tests_the_model_only_where_it_returns() -> None:

@@ -146,8 +146,6 @@ CAUSES = {
     "another ratio": (lambda: bench(lambda signals: 3e-5 * signals.output_angle), {"ratio_error"}),
     "one direction": (of_one_direction, {"torque_offset", "coulomb_windup"}),
 }  # fmt: skip
-
-
 NONE = {
     "lines": lambda: bench(wave(45.0), wave(87.0)),
     "beside the gear's": lambda: bench(wave(99.0), wave(45.0)),

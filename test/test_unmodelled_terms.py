@@ -229,5 +229,5 @@ def test_a_line_of_the_teeth_falls_with_the_load_and_has_a_further_part(member: 
     columns = INPUT_LINE.columns(signals, (number, member))
     assert_allclose(columns @ np.linalg.lstsq(columns, rest, rcond=None)[0], rest, atol=1e-9)
     assert (number, member) in INPUT_LINE.starts(signals, rest).points
-    periods = np.polyfit(signals.input_angle, number * angle, 1)[0] / 1.0
+    periods = np.polyfit(signals.input_angle, number * angle, 1)[0]
     assert INPUT_LINE.order(signals, (number, member)) == pytest.approx(abs(periods))

@@ -47,10 +47,10 @@ _TESTED = 0.9  # share of the time limit at which the detectability test must en
 _KEPT = 0.7  # the same, for testing which parameters are as configured
 _KEPT_TEST = "testing which parameters may be as configured"
 _NO_LAWS = ("no law was found", "no law was found")
-# Once per output turn, as gravity is; over part of a turn, a ramp.
-_BY_GRAVITY = ("output_runout", "output_encoder_eccentricity", "ratio_error")
-_BY_MOTOR = "a motor's own friction and constant imitate it: measure the torque at the joint"
 _RATIO = "ratio_error"
+# Once per output turn, as gravity is; over part of a turn, a ramp.
+_BY_GRAVITY = ("output_runout", "output_encoder_eccentricity", _RATIO)
+_BY_MOTOR = "a motor's own friction and constant imitate it: measure the torque at the joint"
 _OTHER_ANGLE = "the ratio is off, and with it the angle at which the teeth meet: correct it first"
 _HIDDEN = "more than noise is left at the gear's lines: what else is wrong may hide it"
 _AT_BOUND = "a parameter is as far off as it can be: something else takes part in it"

@@ -26,6 +26,7 @@ from hd_diag.diagnosis.record import Record, RecordError
 from hd_diag.diagnosis.regression import centered
 from hd_diag.diagnosis.stamps import usual_step
 from hd_diag.drive import Drive
+from hd_diag.effects.effect import Effect
 from hd_diag.effects.remainders import TIME
 from hd_diag.effects.signals import MISSING_STEPS
 
@@ -356,15 +357,21 @@ def _residual_of(fit: LinearisedFit, trained: LinearisedFit, chosen: Chosen) -> 
     own = fit.parameters.size  # without encoder zeros, which belong to the rows of each fit
     residual = fit.effects.uncorrected - fit.jacobian @ beta[:own]
     sized = tuple((item, part[: item[0].size]) for item, part in trained.sized(chosen, beta))
-    causes = tuple(one for one in sized if one[0][0].lasting and not isinstance(one[0][0], UnmodelledTerm))
+    causes = tuple(one for one in sized if _foretells(one[0][0]))
     return np.asarray(residual - fit.beside(sized).effects.together(causes))
+
+
+def _foretells(effect: Effect) -> bool:
+    """Whether a prediction contains an effect that was fitted."""
+    return effect.lasting and not isinstance(effect, UnmodelledTerm)
 
 
 def _uncertain(fit: LinearisedFit, trained: LinearisedFit, chosen: Chosen, rows: Rows) -> float:
     """Rms deviation of a prediction by a fit to other rows, at `rows` (n,) [rad]; see `_residual_of`."""
-    parts, at = [fit.always()[rows]], [np.arange(fit.always_white.shape[1])]
+    parts = [fit.always()[rows]]
+    at = [np.arange(parts[0].shape[1])]
     for item, place in zip(chosen, trained.places(chosen), strict=True):
-        if item[0].lasting and not isinstance(item[0], UnmodelledTerm):
+        if _foretells(item[0]):
             parts.append(fit.columns(*item)[rows, : item[0].size])
             at.append(np.arange(place.start, place.start + parts[-1].shape[1]))
     columns, places = np.concatenate(parts, axis=1), np.concatenate(at)

@@ -25,7 +25,7 @@ EFFECT = RatioError(
     kind="kinematic",
     frame="output",
     needs=("output_angle",),
-    # Over less of a turn a wave of the output is a ramp, one way only a drift, and torsion by a spring.
+    # A ramp may also be a wave over a small part of a turn, a drift while the joint runs one way, or torsion.
     excitation=(partial(enough_output_turns, turns=0.4), both_directions, torque_known),
     quantities=(Quantity("relative_error", "-", -1.0, 1e3, 1e-4, "declared over real ratio, less one"),),
     confused_with=("output_runout", "thermal_drift", "tooth_skip"),

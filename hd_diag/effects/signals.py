@@ -111,6 +111,10 @@ class Signals:
         """theta_F, the wave generator seen from the flexspline [rad], shape (n,)."""
         return self.contact.flexspline_angle
 
+    def seen_from(self, member: float) -> Floats:
+        """The wave generator seen from the circular spline (0) or the flexspline (1) [rad], shape (n,)."""
+        return self.flexspline_angle if member else self.wave_generator_angle
+
     def bearing(self, torque: Floats) -> Signals:
         """These signals with another torque (n,) [N m] in the mesh; the prediction is unchanged."""
         contact = ContactWeights(self.contact.table, self.wave_generator_angle, torque)

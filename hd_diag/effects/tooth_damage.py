@@ -44,7 +44,7 @@ class ToothDamage(Effect):
         member, position, arc = nonlinear
         contact, opening = signals.contact, (float(coefficients[0]), float(coefficients[1]))
         if arc:
-            share = _share(_seen_from(member, signals) - position, arc)
+            share = _share(signals.seen_from(member) - position, arc)
             return contact.one_by_share(share / contact.drive.mesh.geometry.flexspline_teeth)
         one = contact.one_slot if member == SLOT else contact.one_tooth
         return one(position, opening)
@@ -63,7 +63,7 @@ class ToothDamage(Effect):
         some, rest = signals.part(every), residual[every]
         best = list[Values]()
         for member in (SLOT, TOOTH):
-            angle, pitch = _seen_from(member, signals), _pitch(geometry, member)
+            angle, pitch = signals.seen_from(member), _pitch(geometry, member)
             for position in _positions(signals, angle, residual):
                 near = [(member, pitch * (round(position / pitch) + beside), 0.0) for beside in _BESIDE]
                 best.append(max(near, key=lambda nonlinear: self._gain(some, rest, nonlinear)))
@@ -75,11 +75,6 @@ class ToothDamage(Effect):
         columns = self.columns(signals, nonlinear)
         moment = columns.T @ (residual - residual.mean())
         return float(moment @ np.linalg.lstsq(columns.T @ columns, moment, rcond=None)[0])
-
-
-def _seen_from(member: float, signals: Signals) -> Floats:
-    """Angle of the wave generator in a member [rad], shape (n,)."""
-    return signals.wave_generator_angle if member == SLOT else signals.flexspline_angle
 
 
 def _share(away: Floats, arc: float) -> Floats:

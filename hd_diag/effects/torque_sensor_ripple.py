@@ -19,7 +19,7 @@ ORDERS = (2, 1, 4)
 
 def _ripple(signals: Signals, nonlinear: Values) -> Floats:
     turns, others = nonlinear
-    angle = signals.flexspline_angle if turns else signals.wave_generator_angle
+    angle = signals.seen_from(turns)
     kept = [turning(k * angle) * (1.0 if k == ORDERS[0] else others) for k in ORDERS]
     return np.concatenate([part for w in kept for part in (signals.torque[:, None] * w, w)], axis=1)
 

@@ -25,7 +25,7 @@ from hd_diag.effects.remainders import LOOP, ORDERS, PLACE, SPEED, TIME, TORQUE,
 
 Widths = Mapping[str, float]
 
-_WANDERING = 0.3  # prior width of the wandering, relative to a cause's usual size
+_WANDERING = 0.3  # prior width of columns beyond a cause's own, as of its wandering, over its usual size
 
 
 @dataclass(frozen=True)

@@ -159,7 +159,7 @@ class InputLine(UnmodelledLine):
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """The wave, the wave times the root of the load, and its next part; see :meth:`Effect.columns`."""
-        number, angle = nonlinear[0], _seen_from(signals)[int(nonlinear[1])]
+        number, angle = nonlinear[0], signals.seen_from(nonlinear[1])
         wave, following = turning(number * angle), turning((number + 2.0) * angle)
         load = np.sqrt(np.minimum(np.abs(signals.torque) / signals.rated_torque, 1.0))
         return np.concatenate((wave, load[:, None] * wave, following), axis=1)
@@ -180,15 +180,10 @@ class InputLine(UnmodelledLine):
         if residual is None:
             return Starts([(float(_ORDERS[0][0]), 0.0)], trials)
         found = list[Values]()
-        for member, (angle, orders) in enumerate(zip(_seen_from(signals), _ORDERS, strict=True)):
-            strength = integer_orders(angle, residual, int(orders[-1]))[orders]
+        for member, orders in enumerate(_ORDERS):
+            strength = integer_orders(signals.seen_from(member), residual, int(orders[-1]))[orders]
             found += [(float(one), float(member)) for one in orders[peaks(strength, 0)[:_PEAKS]]]
         return Starts(found, trials)
-
-
-def _seen_from(signals: Signals) -> tuple[Floats, Floats]:
-    """Angle of the wave generator in the case and in the flexspline [rad], shape (n,) each."""
-    return signals.wave_generator_angle, signals.flexspline_angle
 
 
 def _line_numbers(signals: Signals) -> Integers:
