@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
@@ -160,16 +160,29 @@ def allowed(
 def _allowed(
     drive: Drive, cup_torque: float, limits: tuple[float, ...], largest: float
 ) -> tuple[float, str] | None:
-    searches = [_Search(drive, cup_torque, name) for name in NAMES]
-    eccentricity, values = _scanned(drive, cup_torque, largest)
+    searches, scans = [_Search(drive, cup_torque, name) for name in NAMES], list[Floats]()
+    sizes = np.linspace(0.0, largest, STEPS + 1)
+    for size in sizes.tolist():
+        scans.append(searches[0].scan(size))
+        if len(scans) == sizes.size or np.any(scans[-1] > limits):
+            scanned = sizes[: len(scans)], np.stack(scans, axis=1)
+            if least := _least_excess(searches, limits, *scanned):
+                return least
+    return None
+
+
+def _least_excess(
+    searches: list[_Search], limits: Sequence[float], sizes: Floats, values: Floats
+) -> tuple[float, str] | None:
+    """The least displacement in a scan that exceeds a limit [m], and its criterion; None if none does."""
     above = [row > limit for row, limit in zip(values, limits, strict=True)]
-    first = [int(np.argmax(one)) if one.any() else STEPS for one in above]
+    first = [int(np.argmax(one)) if one.any() else sizes.size for one in above]
     least = None
     for k in sorted(range(len(NAMES)), key=lambda k: first[k]):
         limit, search = limits[k], searches[k]
         if least is not None and not search.worst(least[0]).value > limit:
             continue
-        found = search.exceeded(limit, np.stack((eccentricity, values[k])))
+        found = search.exceeded(limit, np.stack((sizes, values[k])))
         if math.isfinite(found) and (least is None or found < least[0]):
             least = found, NAMES[k]
     return least
