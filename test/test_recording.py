@@ -302,11 +302,37 @@ def test_a_divided_input_of_a_table_that_wraps(given: Columns, tmp_path: Path) -
 
 
 def test_empty_cells_are_missing_values(given: Columns, tmp_path: Path) -> None:
+    """A torque between two others is interpolated; without an output angle there is no sample."""
     path = write_table(tmp_path / "a.csv", given)
     lines = path.read_text().splitlines()
     lines[100], lines[200] = lines[100].rpartition(",")[0] + ",", lines[200].split(",")[0]
     path.write_text("\n".join(lines))
-    assert read_tables([path], Table(COLUMNS), joint()).dropped == 2
+    assert read_tables([path], Table(COLUMNS), joint()).dropped == 1
+
+
+@pytest.mark.parametrize("wraps", [False, True])
+def test_signals_of_a_table_may_have_rates_and_stamps_of_their_own(
+    given: Columns, wraps: bool, tmp_path: Path
+) -> None:
+    """The input has stamps between those of the output; torque and temperature come less often."""
+    whole, count = prepared(given), given["time"].size
+    apart, own = 0.4 * (given["time"][1] - given["time"][0]), np.full((4, 2 * count), np.nan)
+    time = np.stack((given["time"], given["time"] + apart), axis=1).ravel()
+    angle = np.interp(time, given["time"], given["input"])
+    own[0, 1::2] = np.remainder(angle[1::2], 2.0 * np.pi) if wraps else angle[1::2]
+    own[1, ::2] = given["output"]
+    own[2, ::8] = given["torque"][::4]
+    own[3, [0, -2]] = 20.0, 26.0
+    cells = [["" if np.isnan(value) else repr(float(value)) for value in column] for column in (time, *own)]
+    rows = (",".join(row) for row in zip(*cells, strict=True))
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(("t,motor,link,tau,heat", *rows)))
+    columns = {"time": "t", "input": "motor", "output": "link", "torque": "tau", "temperature": "heat"}
+    record = read_tables([path], Table(columns), joint())
+    assert record.size > count - 5
+    assert_allclose(record.output_angle, whole.output_angle[1 : record.size + 1], atol=1e-12)
+    assert_allclose(record.torque, whole.torque[1 : record.size + 1], atol=0.05)
+    assert record.temperature[[10, -10]] == pytest.approx([20.0, 26.0], abs=0.2)
 
 
 HEADER, LINK = "t,motor,link,tau\n", {"time": "t", "output": "link"}

@@ -25,7 +25,7 @@ from hd_diag.records.joint_record import InputRecord
 from hd_diag.records.text_table import TextTable, quantity, seconds, text_table
 from hd_diag.streams.alignment import ELSEWHERE, Alignment, Names
 from hd_diag.streams.columns import LARGEST_ANGLE, LARGEST_TEMPERATURE, LARGEST_TORQUE, JointStates
-from hd_diag.streams.rules import unseen
+from hd_diag.streams.rules import LONGEST_HOLD, PAIRING_GAP, unseen
 from hd_diag.streams.second_publisher import other_rows
 from hd_diag.streams.signals import Unit, unit
 
@@ -76,10 +76,49 @@ def read_tables(paths: Sequence[str | Path], table: Table, joint: JointConfig) -
     _check_both(table)
     found, units, stamps = columns_of(paths, table, joint, ("time", "input", "output"))
     ratio, run = joint.drive.kinematics.ratio, found["record"].astype(np.int64)
-    torque, warm = found.get("torque"), found.get("temperature")
-    columns = found["time"], found["input"], found["output"], torque, warm, run
+    empty, own = np.isnan(found["input"]), np.isfinite(found["output"])
+    found["input"] = _input_between(found, run)
+    if "torque" in found:
+        found["torque"] = _between(found["time"], found["torque"], run, LONGEST_HOLD)
+    # Where the input has stamps of its own, samples are at those of the output.
+    rows = own if np.any(empty & own) else np.ones(own.size, np.bool_)
+    found = {name: column[rows] for name, column in found.items()}
+    columns = found["time"], found["input"], found["output"], found.get("torque"), found.get("temperature")
     by_current, by_velocity = "torque" in units and units["torque"].is_current, units["input"].is_rate
-    return prepare(*columns, ratio, joint.torque, found.get("speed"), by_current, by_velocity, stamps)
+    more = found.get("speed"), by_current, by_velocity, stamps
+    return prepare(*columns, run[rows], ratio, joint.torque, *more)
+
+
+def _between(time: Floats, values: Floats, record: Integers, longest: int) -> Floats:
+    """A column (n,), also in rows where its cell is empty: interpolated between values that are near in time.
+
+    `longest` is the largest distance in time of these values [ns].
+    """
+    found = values.copy()
+    for begin, end in bounds(record):
+        rows = begin + np.flatnonzero(np.isfinite(time[begin:end]))
+        known = rows[~np.isnan(values[rows])]
+        if 0 < known.size < rows.size:
+            after = np.clip(known.searchsorted(rows), 1, max(known.size - 1, 1))
+            gap = time[known[np.minimum(after, known.size - 1)]] - time[known[after - 1]]
+            inside = (rows >= known[0]) & (rows <= known[-1]) & (1e9 * gap <= longest)
+            empty = rows[inside & np.isnan(values[rows])]
+            found[empty] = np.interp(time[empty], time[known], values[known])
+    return found
+
+
+def _input_between(found: Mapping[str, Floats], record: Integers) -> Floats:
+    """The input angle, also in rows with an empty cell: its samples may have stamps of their own."""
+    angle = found["input"]
+    known = np.flatnonzero(np.isfinite(angle))
+    if known.size in (0, angle.size):
+        return angle
+    wraps = float(np.ptp(angle[known])) <= _TURN
+    if wraps:
+        angle = angle.copy()
+        angle[known] = np.unwrap(angle[known])
+    whole = _between(found["time"], angle, record, PAIRING_GAP)
+    return np.remainder(whole + np.pi, 2.0 * np.pi) - np.pi if wraps else whole
 
 
 def _check_both(table: Table) -> None:

@@ -267,7 +267,7 @@ def _better(now: Set, known: Instead) -> tuple[Set | None, Instead]:
 
     Causes in `known` are not weighed again: their alternatives are known to be worse.
     """
-    found = _next(now) if len(now.causes) < _MOST else None
+    found = with_next(now) if len(now.causes) < _MOST else None
     return (_fewer(found), known) if found is not None else _exchanged(now, known)
 
 
@@ -469,7 +469,7 @@ def _at_minima(found: Set, others: list[Set], rng: np.random.Generator) -> list[
     return sets
 
 
-def _next(now: Set) -> Set | None:
+def with_next(now: Set) -> Set | None:
     """The set with one more cause, settled; None if none is worth its cost and predicts held-out blocks."""
     ranked = [one for one in candidates(now) if one.gain > -_HOPEFUL]
     for _ in range(_AGAIN):

@@ -8,7 +8,7 @@ import numpy as np
 
 from hd_diag.arrays import Rows
 from hd_diag.diagnosis.calibration import CERTAIN_SIZE, ODDS, PRESENT
-from hd_diag.diagnosis.evidence.search import TO_MINIMUM
+from hd_diag.diagnosis.evidence.search import TO_MINIMUM, with_next
 from hd_diag.diagnosis.evidence.sets import Set
 from hd_diag.diagnosis.noise import Whitening
 from hd_diag.effects.mesh_torque import MeshTorque
@@ -36,6 +36,8 @@ def is_current(reported: Set, current: Set) -> bool:
     # The fit with a motor has more starts: a better minimum that needs no motor is no sign of one.
     same = replace(reported, widths=current.widths).at(current.fit.parameters).settled(TO_MINIMUM)
     reported = max(reported, same, key=lambda one: one.value)
+    # A delay or a friction of the joint follows the speed as well.
+    reported = with_next(reported) or reported
     both = reported.fit.data.mask & current.fit.data.mask
     here, there = reported.relearned, current.relearned
     noises = here.fit.whiten, there.fit.whiten
