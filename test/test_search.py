@@ -234,7 +234,7 @@ def test_nonlinear_values_are_fitted_before_blocks_are_asked() -> None:
     first, *_ = candidates(at)
     assert first.name == "resonance"
     assert not at.beside(first.item, first.widths).foretells("resonance")
-    found = module._next(at)
+    found = module.with_next(at)
     assert found.names == {"resonance"}
     assert found.foretells("resonance")
 
@@ -272,7 +272,7 @@ def test_a_cause_counts_by_the_best_of_its_forms() -> None:
 def test_without_its_last_cause_a_set_is_worth_what_it_was_before(monkeypatch: pytest.MonkeyPatch) -> None:
     """The other parameters may have moved to make room, and steps may not lead back from there."""
     at = begun(bench(OVAL))
-    found = module._next(at)
+    found = module.with_next(at)
     assert found.before.names == at.names
     instead_of(monkeypatch, dataclasses.replace(at, value=found.value - 1e6))
     for before, odds in ((found.before, at.on(found).value - found.value), (None, -1e6)):
@@ -286,7 +286,7 @@ def test_a_candidate_that_lacks_little_is_settled_first(monkeypatch: pytest.Monk
     for lacks, tried in ((1.0, True), (3.0, False)):
         lacking = [candidates(at)[0]._replace(gain=-lacks)]
         monkeypatch.setattr(module, "candidates", lambda one, lacking=lacking: lacking)
-        assert (module._next(at) is not None) is tried
+        assert (module.with_next(at) is not None) is tried
 
 
 def test_what_a_candidate_brings_is_the_evidence_of_the_set_with_it() -> None:
