@@ -335,6 +335,20 @@ def test_signals_of_a_table_may_have_rates_and_stamps_of_their_own(
     assert record.temperature[[10, -10]] == pytest.approx([20.0, 26.0], abs=0.2)
 
 
+def test_a_stamp_that_goes_back_ends_an_interpolation(tmp_path: Path) -> None:
+    """The second half repeats the stamps of the first; a cell of the torque is filled from its own half."""
+    made = columns(seconds=20.0)
+    half, torque = made["time"].size // 2, made["torque"]
+    time = np.where(np.arange(2 * half) < half, made["time"], made["time"] - made["time"][half])
+    sparse = np.where(np.arange(2 * half) % 4 == 0, torque, np.nan)
+    path = write_table(tmp_path / "a.csv", {**made, "time": time, "torque": sparse})
+    record = read_tables([path], Table(COLUMNS), joint())
+    assert record.size == 2 * (half - 3)  # none after the last torque of a half
+    wanted = prepared({**made, "time": time})
+    rows = np.delete(np.arange(2 * half), np.r_[half - 3 : half, 2 * half - 3 : 2 * half])
+    assert_allclose(record.torque, wanted.torque[rows], atol=0.05)
+
+
 HEADER, LINK = "t,motor,link,tau\n", {"time": "t", "output": "link"}
 
 

@@ -210,7 +210,7 @@ def prepare(
         "input_angle": input_angle,
         "output_angle": output_angle,
         "torque": torque,
-        "temperature": _between(time, temperature, bag),
+        "temperature": _measured(temperature),
     }
     columns["torque"], unmeasured = measured_torque(columns["torque"])
     refused = stamps.refused
@@ -385,16 +385,9 @@ def measured_torque(torque: Floats | None) -> tuple[Floats | None, str]:
     return None if why else torque, why
 
 
-def _between(time: Floats, temperature: Floats | None, bag: Integers) -> Floats | None:
-    """The temperature, in each recording interpolated between its known values; None if it has none."""
-    if temperature is None or not np.isfinite(temperature).any():
-        return None
-    found = temperature.copy()
-    for begin, end in bounds(bag):
-        known = begin + np.flatnonzero(np.isfinite(temperature[begin:end]) & np.isfinite(time[begin:end]))
-        if known.size:
-            found[begin:end] = np.interp(time[begin:end], time[known], temperature[known])
-    return found
+def _measured(values: Floats | None) -> Floats | None:
+    """The column, or None if it has no value."""
+    return None if values is None or not np.isfinite(values).any() else values
 
 
 def _wrapped(angle: Floats) -> bool:

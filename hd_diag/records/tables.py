@@ -16,7 +16,7 @@ import numpy as np
 from hd_diag.arrays import Floats, Integers
 from hd_diag.config.configuration import JointConfig
 from hd_diag.diagnosis.blocks import unwrapped
-from hd_diag.diagnosis.noise import bounds
+from hd_diag.diagnosis.noise import bounds, numbered
 from hd_diag.diagnosis.outliers import torque_outliers
 from hd_diag.diagnosis.record import Record, RecordError, measured_torque, prepare
 from hd_diag.diagnosis.stamps import Stamps, doubtful_clock
@@ -78,8 +78,9 @@ def read_tables(paths: Sequence[str | Path], table: Table, joint: JointConfig) -
     ratio, run = joint.drive.kinematics.ratio, found["record"].astype(np.int64)
     empty, own = np.isnan(found["input"]), np.isfinite(found["output"])
     found["input"] = _input_between(found, run)
-    if "torque" in found:
-        found["torque"] = _between(found["time"], found["torque"], run, LONGEST_HOLD)
+    for name, longest in (("torque", LONGEST_HOLD), ("temperature", inf)):
+        if name in found:
+            found[name] = _between(found["time"], found[name], run, longest)
     # Where the input has stamps of its own, samples are at those of the output.
     rows = own if np.any(empty & own) else np.ones(own.size, np.bool_)
     found = {name: column[rows] for name, column in found.items()}
@@ -89,20 +90,20 @@ def read_tables(paths: Sequence[str | Path], table: Table, joint: JointConfig) -
     return prepare(*columns, run[rows], ratio, joint.torque, *more)
 
 
-def _between(time: Floats, values: Floats, record: Integers, longest: int) -> Floats:
+def _between(time: Floats, values: Floats, record: Integers, longest: float) -> Floats:
     """A column (n,), also in rows where its cell is empty: interpolated between values that are near in time.
 
-    `longest` is the largest distance in time of these values [ns].
+    `longest` is the largest distance in time of these values [ns]. If it is infinite, the first and the last
+    value hold beyond them. A stamp that goes back ends an interpolation.
     """
-    found = values.copy()
-    for begin, end in bounds(record):
-        rows = begin + np.flatnonzero(np.isfinite(time[begin:end]))
-        known = rows[~np.isnan(values[rows])]
-        if 0 < known.size < rows.size:
-            after = np.clip(known.searchsorted(rows), 1, max(known.size - 1, 1))
-            gap = time[known[np.minimum(after, known.size - 1)]] - time[known[after - 1]]
-            inside = (rows >= known[0]) & (rows <= known[-1]) & (1e9 * gap <= longest)
-            empty = rows[inside & np.isnan(values[rows])]
+    found, rows = values.copy(), np.flatnonzero(np.isfinite(time))
+    rising = numbered((np.diff(record[rows]) != 0) | (np.diff(time[rows]) < 0.0))
+    for begin, end in bounds(rising):
+        is_empty = np.isnan(values[rows[begin:end]])
+        known, empty = rows[begin:end][~is_empty], rows[begin:end][is_empty]
+        if known.size and empty.size:
+            gap = np.diff(time[known], prepend=-inf, append=inf)
+            empty = empty[1e9 * gap[known.searchsorted(empty)] <= longest]
             found[empty] = np.interp(time[empty], time[known], values[known])
     return found
 

@@ -36,13 +36,20 @@ def is_current(reported: Set, current: Set) -> bool:
     # The fit with a motor has more starts: a better minimum that needs no motor is no sign of one.
     same = replace(reported, widths=current.widths).at(current.fit.parameters).settled(TO_MINIMUM)
     reported = max(reported, same, key=lambda one: one.value)
+    if not (_takes_power(current.relearned) and _is_likelier(current, reported)):
+        return False
     # A delay or a friction of the joint follows the speed as well.
-    reported = with_next(reported) or reported
-    both = reported.fit.data.mask & current.fit.data.mask
-    here, there = reported.relearned, current.relearned
+    by_cause = with_next(reported)
+    return by_cause is None or _is_likelier(current, by_cause)
+
+
+def _is_likelier(current: Set, other: Set) -> bool:
+    """Whether a motor's current is likelier than another set, with the noise learned given either."""
+    both = other.fit.data.mask & current.fit.data.mask
+    here, there = other.relearned, current.relearned
     noises = here.fit.whiten, there.fit.whiten
     gains = [_on(there, both, one).value - _on(here, both, one).value for one in noises]
-    return min(gains) > ODDS - PRESENT and _takes_power(there)
+    return min(gains) > ODDS - PRESENT
 
 
 def _on(at: Set, rows: Rows, whiten: Whitening) -> Set:
